@@ -1,18 +1,18 @@
-"""Tools of every other room that know nothing of haptics: errors, YAML, clocks, files, the C core.
+"""Tools for all other packages, independent of haptics: errors, YAML, clocks, files, the C core.
 
 The core and the process:
 
     core               the C core as Python sees it: `ffi`, `lib`, records as numpy dtypes, enums
     clock              CLOCK_MONOTONIC and the time of day, read together
     memory             memory allocation of a process that runs for months
-    threads            background threads; whether the user's limit of processes allows more of them
-    steps              work that pauses between its parts
+    threads            background threads; checks the user's limit of processes
+    steps              long work as a generator that yields between its parts
 
 Text that people and programs write and read:
 
     errors             errors that a user can cause, and their texts
     wording            numbers, counts and times as text: 12,340 ticks, 2.5 ms, 19 %
-    model              the base class of validated models: strict numbers, limits, places of faults
+    model              the base class of validated models: strict numbers, limits, paths of faults
     arguments          arguments that a program passes to a client, checked before anything is sent
     yaml_source        reads YAML: plain data and line numbers
     yaml_text          writes YAML as the loader reads it
@@ -29,8 +29,8 @@ Questions, and where to begin:
 
     Where does Python call C?
         core; the functions and structs themselves are in csrc/api/.
-    Where does a validation error get its words and its line?
-        model (faults_of) has pydantic's words and the place; yaml_source (Document) knows the lines.
+    Where do the text and the line of a validation error come from?
+        model (faults_of) takes text and path from pydantic; yaml_source (Document) has the lines.
     How is a file written atomically?
         files (write_atomically, atomic_file).
 """

@@ -1,6 +1,6 @@
-"""Arguments that a program passes to a client, checked before anything is sent: a mistake is one line, not a traceback.
+"""Checks of arguments that a program passes to a client, before anything is sent.
 
-Checked here is what cannot be encoded, or would make the client wait for ever. The daemon validates the rest.
+They find values that cannot be encoded, or would make the client wait for ever. The daemon validates the rest.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def within(name: str, value: object, most: float, unit: str) -> float:
 
 
 def flag(name: str, value: object) -> bool:
-    """Check a truth value, Python's or numpy's. Raises InvalidError."""
+    """Check a boolean of Python or numpy. Raises InvalidError."""
     made = value.tolist() if hasattr(value, "tolist") else value
     if not isinstance(made, bool):
         raise invalid_argument(name, f"must be True or False, is {shown(value)}")
@@ -78,11 +78,11 @@ def rows(name: str, value: object) -> list[list[float]]:
 
 
 def texts(name: str, value: object) -> list[str]:
-    """Check a list of texts. Raises InvalidError, for a single text too."""
+    """Check a list of strings. Raises InvalidError, also for a single string."""
     found = []
     for place, each in enumerate(_items(name, value, "texts")):
         if not isinstance(each, str):
-            raise invalid_argument(f"{name}[{place}]", f"must be a text, is {shown(each)}")
+            raise invalid_argument(f"{name}[{place}]", f"must be a string, is {shown(each)}")
         found.append(each)
     return found
 
@@ -97,7 +97,7 @@ def one_of(name: str, value: object, known: Iterable[str]) -> None:
 def plain(where: Path, value: object) -> Any:
     """Return `value` as plain data for JSON: numpy's numbers and arrays become Python's, a tuple becomes a list.
 
-    Raises InvalidError with the place of a value that JSON cannot hold.
+    Raises InvalidError with the path of a value that JSON does not have.
     """
     if len(where) > MAX_DEPTH:
         raise invalid_argument(path_text(where[:1]), f"must not be nested deeper than {MAX_DEPTH}")
@@ -106,7 +106,7 @@ def plain(where: Path, value: object) -> Any:
             return value
         case str():
             if not _is_utf8(value):
-                raise invalid_argument(path_text(where), f"must be text that UTF-8 can hold, is {shown(value)}")
+                raise invalid_argument(path_text(where), f"must be text that UTF-8 can encode, is {shown(value)}")
             return value
         case int():
             if not -(2**63) <= value < 2**64:
@@ -119,14 +119,14 @@ def plain(where: Path, value: object) -> Any:
         case Mapping():
             for key in value:
                 if not isinstance(key, str) or not _is_utf8(key):
-                    raise invalid_argument(path_text(where), f"must have texts as keys, has {shown(key)}")
+                    raise invalid_argument(path_text(where), f"keys must be strings, this one is {shown(key)}")
             return {str(key): plain((*where, key), inner) for key, inner in value.items()}
         case list() | tuple():
             return [plain((*where, place), inner) for place, inner in enumerate(value)]
     tolist = getattr(value, "tolist", None)  # numpy's scalars and arrays
     made = None if tolist is None else tolist()
     if made is None or isinstance(made, type(value)):
-        raise invalid_argument(path_text(where), f"must be what JSON can hold, is {shown(value)}")
+        raise invalid_argument(path_text(where), f"must be a JSON value, is {shown(value)}")
     return plain(where, made)
 
 
@@ -145,7 +145,7 @@ def _items(name: str, value: object, what: str) -> list[object]:
 
 
 def _number(value: object) -> float | None:
-    """Return a number of Python or numpy as float, and None for a text, a truth value or anything else."""
+    """Return a number of Python or numpy as float; None for a string, a boolean or anything else."""
     if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
         return None
     try:

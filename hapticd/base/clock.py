@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 CLOCK_READING_TRIES: Final = 3
-"""The clocks are read three times; the reading that took least time counts."""
+"""The clocks are read three times; the reading that took least time is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Moment:
 
 
 def read() -> Moment:
-    """Read both clocks, CLOCK_REALTIME between two readings of CLOCK_MONOTONIC, whose mean counts."""
+    """Read CLOCK_REALTIME between two readings of CLOCK_MONOTONIC, and return it with their mean."""
     tries = []
     for _ in range(CLOCK_READING_TRIES):
         before = time.monotonic_ns()
@@ -37,7 +37,7 @@ def read() -> Moment:
 
 
 def moment_of(value: object) -> Moment | None:
-    """Return the moment that a received map holds, and None if it holds none."""
+    """Return the moment in a received map, or None if `value` is not such a map."""
     if not isinstance(value, Mapping):
         return None
     monotonic_ns, realtime_ns = value.get("monotonic_ns"), value.get("realtime_ns")

@@ -46,7 +46,7 @@ def encode(value: object) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """An encoded value: its parts in order. Large parts are shared, never copied."""
+    """An encoded value, as a sequence of byte strings. Large ones are shared, never copied."""
 
     parts: tuple[bytes, ...]
 
@@ -63,7 +63,7 @@ def encoded(value: object) -> Encoded:
 
 
 def encoded_map(members: Mapping[str, object]) -> Encoded:
-    """Encode a map, of which some values may be `Encoded`. Raises NotEncodableError."""
+    """Encode a map. Its values may be `Encoded`. Raises NotEncodableError."""
     found: list[bytes] = []
     small = bytearray(msgpack.Packer(buf_size=_PACKER_BUFFER_BYTES).pack_map_header(len(members)))
     for key, value in members.items():
@@ -98,5 +98,5 @@ class Members:
 
 
 def _header_size(count: int) -> int:
-    """Return the bytes of the header of a map of `count` members, at most 65,535."""
+    """Return the size of the header of a map of `count` members, at most 65,535, in bytes."""
     return 1 if count < 16 else 3

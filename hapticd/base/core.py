@@ -1,8 +1,8 @@
 """The C core as Python sees it: `ffi`, `lib`, its records as numpy dtypes, its enums, and a few helpers.
 
-Only this module imports the compiled extension, except for one call of memory.py. Layouts, enums and numbers come
-from the compiled code, never from a second definition here. mypy reads them from hapticd/_core.pyi, which the build
-makes of the same headers. `csrc/api/hd_api.h` documents every function and field.
+Only this module imports the compiled extension, except for one call in memory.py. Layouts, enums and constants come
+from the compiled code, never from a second definition here. `csrc/api/hd_api.h` documents every
+function and field.
 """
 
 import os
@@ -81,13 +81,13 @@ HISTOGRAM_EDGES_NS: tuple[int, ...] = tuple(map(lib.hd_histogram_edge_ns, range(
 MAX_PENDING_MARKS: int = lib.HD_MARKS
 """Maximum number of marks that the servo has not answered yet; the ring of events has room for them."""
 MAX_CORRECTED_SAMPLES: int = lib.HD_KICKS
-"""Maximum number of first samples of a strike that have corrections."""
+"""Number of samples at the beginning of a strike that can be corrected."""
 TUNE_NODE_NUMBERS: int = lib.HD_TUNE_NODE
-"""Numbers that describe compensation at one frequency: enum hd_tune_number in csrc/scene/hd_table_numbers.h."""
+"""Count of values that describe compensation at one frequency: enum hd_tune_number, csrc/scene/hd_table_numbers.h."""
 MAX_WAVEFORM_SAMPLES: int = lib.HD_WAVE_SAMPLES
 """Maximum number of samples of a tap's waveform."""
 WAVEFORM_PARTS: int = lib.HD_WAVE_PARTS
-"""Number of equal parts of a waveform for which a table holds the largest magnitude from there on."""
+"""A table divides a waveform into this number of equal parts, and has the largest magnitude after each one's start."""
 MAX_FORCE_DELAY_FRAMES: int = lib.HD_SIM_FORCES
 """Maximum delay of a force on its way to the simulated joystick, in intervals of the simulated link."""
 
@@ -130,7 +130,7 @@ if not TYPE_CHECKING:
 
 
 def records(dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:
-    """Return `count` zeroed records of one of these dtypes, shape (count,), which C can use in place."""
+    """Return `count` zeroed records of a `record_dtype`, shape (count,), which C can use in place."""
     return np.zeros(count, dtype)
 
 

@@ -14,15 +14,15 @@ Path: TypeAlias = tuple[str | int, ...]
 """A place in a document: keys and list indices, from the root down."""
 
 _MAX_SHOWN_CHARACTERS = 60
-"""A longer text is cut in messages."""
+"""Length to which a text is cut in messages."""
 _MAX_SHOWN_NAMES = 20
-"""Known names that a message lists."""
+"""Largest number of known names that a message lists."""
 _MAX_COMPARED_NAMES = 64
-"""Among more known names no similar one is searched."""
+"""Largest number of known names among which similar ones are searched."""
 _MAX_SHOWN_PROBLEMS = 50
-"""Faults that a message lists; the others are counted."""
+"""Largest number of faults that a message lists; the others are counted."""
 _LOCATION_PATTERN = re.compile(r"(.+?):(\d+):(\d+)(?:: |$)")
-"""FILE:LINE:COLUMN at the beginning of a place."""
+"""FILE:LINE:COLUMN at the beginning of `Problem.where`."""
 
 
 class HapticdError(Exception):
@@ -31,7 +31,7 @@ class HapticdError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One fault: its place as the user knows it, with file and line if known, and what is wrong there."""
+    """One fault: where it is, with file and line if known, and what is wrong there."""
 
     where: str
     problem: str
@@ -114,7 +114,7 @@ def path_text(path: Sequence[str | int]) -> str:
 
 
 def path_of_text(text: str) -> Path:
-    """Return the path that `path_text` wrote as `text`."""
+    """Return the path whose `path_text` is `text`."""
     parts = re.findall(r'"(?:[^"\\]|\\.)*"|\[\d+\]|[^.\[\]"]+', text)
     return tuple(json.loads(part) if part[0] == '"' else int(part[1:-1]) if part[0] == "[" else part for part in parts)
 

@@ -1,7 +1,7 @@
 """Files that are written atomically: under a hidden name in the target's folder, then renamed to the target.
 
-An existing file is replaced only on request. A device, a pipe or a folder is never written to nor replaced. Of a
-symbolic link the file is written to which it leads.
+An existing file is replaced only on request. A device, a pipe or a folder is never written to nor replaced. If the
+target is a symbolic link, the file that it leads to is written.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import BinaryIO, Final
 from hapticd.base.errors import HapticdError
 
 _NO_HARD_LINKS: Final = frozenset((errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL))
+"""Errors of os.link on a file system without hard links."""
 _NEW_FILE_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 _NOT_REGULAR: Final = {
     stat.S_IFBLK: "a block device",
@@ -30,9 +31,9 @@ _NOT_REGULAR: Final = {
 
 
 def _not_regular(path: str | os.PathLike[str]) -> str | None:
-    """Return what `path` is after links are followed; None if it is a regular file or does not exist.
+    """Return the kind of `path` after links are followed; None if it is a regular file or does not exist.
 
-    Raises OSError if the system refuses to follow a link: another user's, in a folder that everybody may write to.
+    Raises OSError if the system refuses to follow a link, such as another user's in a world-writable folder.
     """
     try:
         return _NOT_REGULAR.get(stat.S_IFMT(os.stat(path).st_mode))
@@ -78,8 +79,8 @@ def atomic_file(
 ) -> Iterator[BinaryIO]:
     """Open a file to write to, which gets the name `path` at the end of the block; if that fails, `path` is unchanged.
 
-    With `synced` it is on disk then. If another file has appeared at `path` since `check_new` and `overwrite` is
-    False, the new file gets the next free name. The HapticdError that is raised then names it.
+    With `synced` its data are then on disk. If another file has appeared at `path` since `check_new` and `overwrite`
+    is False, the new file gets the next free name, and a HapticdError with this name is raised.
     """
     check_regular(path)
     target = Path(os.path.realpath(path))
@@ -126,7 +127,7 @@ def rename_to_free_name(part: Path, target: Path, overwrite: bool) -> Path:
 
 
 def _rename(part: Path, place: Path, overwrite: bool) -> None:
-    """Rename a file. Raises FileExistsError if the name is taken, also if another process took it just now."""
+    """Rename a file. Raises FileExistsError if the name is taken, even if another process has just taken it."""
     if overwrite and _not_regular(place) is None:
         os.replace(part, place)
         return

@@ -22,7 +22,7 @@ _PAGE_STYLE: Final = (
 
 
 def page(title: str, body: str) -> str:
-    """Return an HTML page with a title, which is its heading too, and the HTML of its body."""
+    """Return an HTML page; `title` is also its heading, `body` is HTML."""
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head><meta charset="utf-8"><title>{html.escape(title)}</title><style>{_PAGE_STYLE}</style></head>
@@ -42,7 +42,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], of_text: Sequen
 def table_of_html(
     columns: Sequence[str], rows: Sequence[Sequence[str]], of_text: Sequence[bool], caption: str = ""
 ) -> str:
-    """Return an HTML table of cells that are HTML themselves; see `table`."""
+    """Return an HTML table whose cells are HTML; see `table`."""
     classes = [' class="text"' if is_text else "" for is_text in of_text]
     body = "\n".join(_row("td", row, classes) for row in rows)
     heads = _row("th", [html.escape(column) for column in columns], classes)

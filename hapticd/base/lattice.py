@@ -15,11 +15,11 @@ from typing import Final, TypeAlias
 Reflection: TypeAlias = tuple[float, ...]
 
 _LATTICE_CONTEXT: Final = Context(prec=100)
-"""Precision of the recursions: 100 digits, since they lose precision in proportion to 1 / E_p."""
+"""Precision of the recursions: 100 digits, since they lose precision in proportion to 1 / prod(1 - k_m^2)."""
 
 
 def coefficients_of(reflection: Sequence[float]) -> tuple[float, ...]:
-    """Return a_1 .. a_p of the lattice with k_1 .. k_p (step-up recursion)."""
+    """Return a_1 .. a_p of the filter with k_1 .. k_p (step-up recursion)."""
     with localcontext(_LATTICE_CONTEXT):
         return tuple(float(a) for a in _step_up([Decimal(float(k)) for k in reflection])[1:])
 
@@ -85,7 +85,7 @@ def _times(a: Sequence[Decimal], b: Sequence[Decimal]) -> list[Decimal]:
 
 
 def with_poles(reflection: Sequence[float], poles: Iterable[complex]) -> Reflection:
-    """Return the reflection coefficients of the filter with additional poles; of a conjugate pair give one."""
+    """Return the reflection coefficients of the filter with additional poles. `poles` has one of a conjugate pair."""
     with localcontext(_LATTICE_CONTEXT):
         return _step_down(_times(_monic(poles), _step_up([Decimal(k) for k in reflection])))[0]
 
@@ -93,8 +93,8 @@ def with_poles(reflection: Sequence[float], poles: Iterable[complex]) -> Reflect
 def realised(poles: Sequence[complex], zeros: Sequence[complex]) -> tuple[Reflection, tuple[float, ...] | None]:
     """Return reflection coefficients and lattice taps of a filter with output power 1 for white noise of power 1.
 
-    Of a conjugate pair of poles or zeros give one. There may be no more zeros than poles. The numerator is written as
-    sum c_m B_m from the highest power down; then v_m = c_m sqrt(E_m), normalised.
+    `poles` and `zeros` have one of each conjugate pair; zeros may not outnumber poles. With the numerator written as
+    sum c_m B_m, from the highest power down, and E_m = prod(1 - k_i^2), i <= m, v_m is c_m sqrt(E_m), normalised.
     """
     with localcontext(_LATTICE_CONTEXT):
         reflection, ladder = _step_down(_monic(poles))

@@ -25,7 +25,7 @@ def merge_patch(target: Json, patch: Json) -> Json:
 
 
 def replace_members(into: dict[str, T], changes: Mapping[str, T | None]) -> None:
-    """Replace each member of `into` by the complete member of `changes` with its name; None removes it."""
+    """Replace each member of `into` by the member of `changes` with the same key; None removes it."""
     for name, value in changes.items():
         if value is None:
             into.pop(name, None)

@@ -1,4 +1,4 @@
-"""Base class of validated models: strict numbers, limits, and faults with their places in pydantic's words.
+"""Base class of validated models: strict numbers, limits, and faults with their paths and pydantic's texts.
 
 Models are immutable and strict: a number is a number (neither "1" nor true), finite and inside its limits. An unknown
 key is an error. The limits are far outside what a hand can feel; they keep products of values from overflowing.
@@ -45,25 +45,25 @@ class DescribedAs:
 
 NAME_MAX_CHARACTERS = 64
 MAX_KEYS_OF_MAPPING: Final = 256
-"""Mappings of known keys have fewer keys."""
+"""Largest number of keys of a mapping; no model has as many."""
 MAX_FAULTS = 200
-"""Faults that are reported one by one, as reporting thousands takes seconds; the others are counted."""
+"""Largest number of faults that are reported, as reporting thousands takes seconds; the others are counted."""
 UNKNOWN_KEY: Final = "unknown key"
-"""Beginning of the text of the fault "unknown key"."""
+"""Beginning of the fault text of a key that the model does not have."""
 NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
-"""Names hold neither dots nor control characters."""
+"""Pattern of a Name: neither dots nor control characters."""
 
 Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)]
 """Name of a material or id of an object: without a dot, which separates the keys of a path."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]
-"""In m."""
+"""Unit: m."""
 Position: TypeAlias = Annotated[tuple[Coordinate, Coordinate], Strict(False)]
 """[x, y] in m."""
 Stiffness: TypeAlias = Annotated[float, Field(ge=0, le=1e5)]
-"""In N/m."""
+"""Unit: N/m."""
 Damping: TypeAlias = Annotated[float, Field(ge=0, le=1e3)]
-"""In N s/m."""
+"""Unit: N s/m."""
 
 
 class Model(BaseModel):
@@ -100,7 +100,7 @@ class Model(BaseModel):
 
     @classmethod
     def parsed(cls, data: object) -> Self:
-        """Validate for a reader of documents, which adds the places of faults. Raises ValidationError."""
+        """Validate for a reader of documents, which adds file and line of faults. Raises pydantic's ValidationError."""
         return super().model_validate(data)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -200,7 +200,7 @@ def entry_by_entry(
 
 
 def refuse_many_keys(data: object, path: Path) -> None:
-    """Raise InvalidError for a mapping, at any depth, with too many keys: to report thousands takes seconds."""
+    """Raise InvalidError if a mapping, at any depth, has too many keys: to report thousands would take seconds."""
     if isinstance(data, dict) and len(data) > MAX_KEYS_OF_MAPPING:
         raise InvalidError(
             [Problem(path_text(path), f"has {len(data)} keys; at most {MAX_KEYS_OF_MAPPING} are allowed")]
@@ -283,7 +283,7 @@ _REPLACED_MESSAGES: Final = {
     "tuple_type": "should be a list",
     "union_tag_not_found": "Field required",
 }
-"""Texts for the kinds of faults of which pydantic's text names Python types."""
+"""Texts by type of fault, which replace those of pydantic that name Python types."""
 _KINDS_WITHOUT_VALUE: Final = frozenset({"missing", "too_long", "too_short", "union_tag_not_found"})
 """Kinds of faults whose text already has the value, or that have no value."""
 
@@ -307,7 +307,7 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
 
 
 def _advice(value: object) -> str:
-    """Return advice on a text that is a number with a decimal comma, or has an editor's curly quotes; else ""."""
+    """Return advice on a string with a decimal comma, or with an editor's curly quotes; else ""."""
     if isinstance(value, str) and re.fullmatch(r"[-+]?\d+,\d+", value):
         return "; decimals have a point, not a comma"
     if isinstance(value, str) and value[:1] in tuple("\u201c\u201d\u2018\u2019"):
@@ -353,7 +353,7 @@ def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, 
 
 
 def _bare(annotation: object) -> object:
-    """Return a type without Annotated and without `| None`."""
+    """Return a type without its `Annotated` and `| None`."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     if get_origin(annotation) in (Union, UnionType):
@@ -364,7 +364,7 @@ def _bare(annotation: object) -> object:
 
 
 def _members(kind: object) -> dict[str, object] | None:
-    """Return the models of a union that differ by `kind`, by their kind; None for any other type."""
+    """Return the models of a union by their values of the key `kind`; None for any other type."""
     if get_origin(kind) not in (Union, UnionType):
         return None
     return dict(_tagged(get_args(kind)))

@@ -1,7 +1,7 @@
-"""Work that pauses: a generator yields between its parts, so that its thread can do something else meanwhile.
+"""Long work as a generator, which yields between its parts, so that its thread can do something else meanwhile.
 
 The daemon's command thread changes a scene in this way, and answers other requests in the pauses
-(daemon/dispatch.py). A caller without other work calls `finish`.
+(daemon/dispatch.py).
 """
 
 from collections.abc import Generator

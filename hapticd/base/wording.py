@@ -55,9 +55,9 @@ def quantity(value: float, unit: str, digits: int = DEFAULT_DIGITS) -> str:
     return f"{number(value, digits)} {unit}"
 
 
-def percent(share: float, digits: int = 3) -> str:
+def percent(fraction: float, digits: int = 3) -> str:
     """Format a fraction in percent: 0.1924 -> 19.2 %; 1 -> 100 %."""
-    return f"{number(100.0 * share, digits)} %"
+    return f"{number(100.0 * fraction, digits)} %"
 
 
 def duration(seconds: float) -> str:

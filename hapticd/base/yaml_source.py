@@ -1,8 +1,8 @@
 """Reader of YAML: text in, plain data and line numbers out.
 
 Scalars follow the core schema of YAML 1.2.2 (10.3): `off` and `"1"` are strings, `1e-3` is a number.
-Refused, each with file, line and column: duplicate keys, keys that are not strings, aliases, tags outside the
-core schema, several documents, nesting beyond MAX_DEPTH, more than MAX_YAML_BYTES, anything that is not UTF-8.
+Errors, each with file, line and column: duplicate keys, keys that are not strings, aliases, tags outside the core
+schema, several documents, nesting beyond MAX_DEPTH, more than MAX_YAML_BYTES, bytes that are not UTF-8.
 `<<` has no special meaning. PyYAML only tokenises; data is built here from its events, without recursion.
 """
 
@@ -23,7 +23,7 @@ LINE_BREAKS = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
 MAX_DEPTH = 32
 """Maximum nesting of mappings and lists."""
 _TOO_DEEP = "exceeded maximum nesting depth"
-"""Text of libyaml's own check from 0.2.6 on (PyYAML 6.0.4), which reads ahead of the events that are counted here."""
+"""Text of the depth check in libyaml 0.2.6 or later (PyYAML 6.0.4), which may fail before the check of this module."""
 MAX_YAML_BYTES = 2 * 1024 * 1024
 """Maximum size of a YAML file."""
 
@@ -41,7 +41,7 @@ _BOOL_PATTERN = re.compile(r"true|True|TRUE|false|False|FALSE")
 _INT_PATTERN = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT_PATTERN = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _MAX_NUMBER_CHARACTERS = 400
-"""A longer scalar is a string even if it looks like a number."""
+"""Largest length of a number; a longer scalar is a string."""
 _TAG_DIRECTIVE = re.compile("(?:^|[\n\r\x85\u2028\u2029])%TAG")
 _MAX_TAG_DIRECTIVES = 16
 """libyaml compares each %TAG directive with all before it, so its time grows with the square of their number."""
@@ -72,7 +72,7 @@ class Document:
     _above: tuple[str, ...] = ()
 
     def below(self, key: str) -> "Document":
-        """Return this document as the value of `key` in a larger one; places in the file stay the same."""
+        """Return this document as the value of `key` in a larger one; lines and columns stay the same."""
         return replace(self, data={key: self.data}, _above=(key, *self._above))
 
     def problem(self, path: Sequence[str | int], text: str) -> Problem:

@@ -1,4 +1,4 @@
-"""Writer of YAML that the loader reads: mappings of scalars on one line, larger ones as a block."""
+"""Writer of YAML that yaml_source reads: mappings of scalars on one line, larger ones as a block."""
 
 from __future__ import annotations
 

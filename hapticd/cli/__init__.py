@@ -6,11 +6,11 @@ Exit codes: 0; 1 if the command failed, also if its output cannot be written; 2 
 `_MODULE_BY_COMMAND` maps each command to its file. The other files:
 
     common      options that commands share, the client of the daemon, printing of results
-    engine      options and progress of commands that compute many pieces on dask
+    engine      options and progress of commands that compute many points, fits or sessions on dask
     failure     how a failed command reports its error
     listening   options of commands that serve pages: address, port, TLS, browser
     names       completion of names in a shell
-    streams     standard output and error that cannot be written
+    streams     one-line errors for failed writes to standard output
     synthesize  `hapticd fit synthesize`, a subcommand in fit
     experiment_analyze  `hapticd experiment analyze`, a subcommand in experiment
     experiment_run      `hapticd experiment run` and `resume`, subcommands in experiment

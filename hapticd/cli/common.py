@@ -44,7 +44,7 @@ class Finite(click.FloatRange):
 
 
 def configs_option(help: str) -> Callable[[_F], _F]:
-    """Return the option `-c`: configuration files in their order, as the parameter `configs`."""
+    """Return the option `-c`: configuration files in the given order, as the parameter `configs`."""
     return click.option(
         "-c", "--config", "configs", multiple=True, metavar="FILE", shell_complete=names.scenes, help=help
     )
@@ -59,7 +59,7 @@ overwrite_option = click.option("--overwrite", is_flag=True, help="Replace exist
 
 
 def options(*decorators: Callable[[Any], Any]) -> Callable[[_F], _F]:
-    """Combine several options into one decorator; `--help` lists them in this order."""
+    """Combine several options into one decorator; `--help` lists them in the order of the arguments."""
 
     def decorated(command: _F) -> _F:
         for decorator in reversed(decorators):
@@ -100,17 +100,17 @@ def results_option(default: str) -> Callable[[_F], _F]:
 
 
 def for_option(shown: str, default: str | None = None) -> Callable[[_F], _F]:
-    """Return the option `--for`: a duration, as the parameter `duration_s`. `shown` describes the default."""
+    """Return the option `--for`: a duration, as the parameter `duration_s`. `shown` is the default in `--help`."""
     help = f"Duration, as 5s, 500ms or 2min [default: {shown}]."
     return click.option("--for", "duration_s", type=duration, metavar="TIME", default=default, help=help)
 
 
 def duration(text: str) -> float:
-    """Return the seconds of a text such as 500ms, 5s or 2min; a number without a unit is in seconds."""
+    """Convert a text such as 500ms, 5s or 2min to seconds; a number without a unit is in seconds."""
     match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*(ms|s|min|h)?", text.strip())
     seconds = float(match[1]) * _SECONDS_BY_UNIT[match[2] or "s"] if match else 0.0
     if not seconds > 0:
-        raise click.BadParameter(f"{text!r} is not a time such as 5s, 500ms or 2min")
+        raise click.BadParameter(f"{text!r} is not a duration such as 5s, 500ms or 2min")
     return seconds
 
 
@@ -217,7 +217,7 @@ def print_result(result: object, as_json: bool, text: str) -> None:
 
 
 def print_pairs(pairs: Iterable[tuple[str, str]]) -> None:
-    """Print names and their descriptions in two columns."""
+    """Print names and descriptions in two columns."""
     listed = list(pairs)
     width = max(len(name) for name, _ in listed)
     for name, text in listed:
@@ -225,7 +225,7 @@ def print_pairs(pairs: Iterable[tuple[str, str]]) -> None:
 
 
 def print_shipped(folder: Folder, as_json: bool) -> None:
-    """Print the names of the studies in a shipped folder, each with the question that it asks."""
+    """Print the names of the studies in a shipped folder, each with its research question."""
     from hapticd.config.shipped_files import described
 
     studies = described(folder)
@@ -269,8 +269,8 @@ def print_table(
 
 
 @contextmanager
-def doing() -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows a status line if stderr is a terminal; an empty text and the end erase the line."""
+def status_line() -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows a status line on a terminal. An empty text and the end of the block erase it."""
     try:
         yield _show
     finally:

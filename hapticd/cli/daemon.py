@@ -91,7 +91,7 @@ def _change(as_json: bool, send: Callable[[Client], Mapping[str, object]], timeo
 def reload_command(expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Reload scene and materials from the configuration files of the daemon.
 
-    The state of contacts and punctures is kept. If another key has changed, which needs a restart, nothing is changed.
+    The state of contacts and punctures is kept. If any other key has changed, which needs a restart, the reload fails.
     """
     _change(as_json, lambda client: client.reload(expect_revision, wait), RELOAD_TIMEOUT_S)
 
@@ -155,7 +155,7 @@ def scene_get(as_json: bool) -> None:
 @click.argument("file", shell_complete=names.scenes)
 @_change_options
 def scene_set(file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
-    """Replace the scene by that in FILE: YAML, the name of a shipped scene, or - for standard input."""
+    """Replace the scene by that in FILE, which is YAML, the name of a shipped scene, or - for standard input."""
     from hapticd.config.shipped_files import file_of
 
     source = file_of(file, "scenes")

@@ -72,7 +72,7 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
 def _hid_of(configs: tuple[str, ...]) -> Hid:
     """Return `device.hid` as `hapticd run` would use it, or the defaults if the configuration has no HID device.
 
-    A faulty configuration is an error if it was given with -c; if it was found at its default place, only a note.
+    A faulty configuration is an error if it was given with -c. If it was found at a default path, a note is printed.
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.hid import Hid
@@ -101,8 +101,8 @@ def _verdict(item: Found) -> str:
     return text + (f"; but no permission: {PERMISSION_HINT}" if item.permission == "denied" else "")
 
 
-def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
-    """Return the device named by path or VENDOR:PRODUCT, or the only one found; `what` describes them in the error."""
+def _selected(device: str | None, found: Sequence[Found], what: str) -> Found:
+    """Return the device with this path or VENDOR:PRODUCT, or the only one in `found`; `what` describes it in errors."""
     matching = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
     if len(matching) == 1:
         return matching[0]
@@ -129,7 +129,7 @@ def dump_command(device: str, output: str, duration_s: float, overwrite: bool, a
     from hapticd.hid.replay import Recording, record, save
 
     check_new(output, overwrite)
-    item = _one(device, find(), f"are {device}")
+    item = _selected(device, find(), f"are {device}")
     fd = os.open(item.path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         reports = record(fd, duration_s)
@@ -148,7 +148,7 @@ def claim_command(device: str | None, as_json: bool) -> None:
 
     DEVICE is a path or VENDOR:PRODUCT in hex, by default the only device that can be driven. Needs root. The kernel
     driver is unbound, which closes the device in other programs, and bound again; its event and joystick nodes then
-    belong to root. A daemon that drives the device sets it up again; forces are off then.
+    belong to root. A daemon that drives the device initializes it again and turns forces off.
     """
     _hand_over(device, as_json, release=False)
 
@@ -157,7 +157,7 @@ def claim_command(device: str | None, as_json: bool) -> None:
 @click.argument("device", metavar="[DEVICE]", required=False)
 @json_option
 def release_command(device: str | None, as_json: bool) -> None:
-    """Let other programs use DEVICE again.
+    """Let other programs use a claimed DEVICE again.
 
     DEVICE is a path or VENDOR:PRODUCT in hex, by default the only claimed device. Needs root.
     """
@@ -165,7 +165,7 @@ def release_command(device: str | None, as_json: bool) -> None:
 
 
 def _hand_over(device: str | None, as_json: bool, *, release: bool) -> None:
-    """Claim or release the named device, or the only one that can be."""
+    """Claim or release the named device, or the only one that can be driven or is claimed."""
     from hapticd.hid.claim import Claims
     from hapticd.hid.discovery import find
 
@@ -173,7 +173,7 @@ def _hand_over(device: str | None, as_json: bool, *, release: bool) -> None:
     if device is None:
         names = claims.names()
         found = [item for item in found if (item.hid_name in names if release else item.usable)]
-    item = _one(device, found, "is claimed" if release else "can be driven")
+    item = _selected(device, found, "is claimed" if release else "can be driven")
     driver = claims.release(item) if release else claims.claim(item)
     result = {"device": item.hid_name, "path": claims.path(item.hid_name), "driver": driver}
     what = "claimed: other programs cannot open its event nodes"
@@ -266,13 +266,13 @@ def descriptor_bytes(data: bytes, name: str) -> bytes:
             found += bytes.fromhex(digits)
         except ValueError:
             raise HapticdError(
-                f"{name}, line {number}: {quoted(line.strip())} is not bytes in hexadecimal such as 05 01 09 04"
+                f"{name}, line {number}: {quoted(line.strip())}: must be bytes in hexadecimal such as 05 01 09 04"
             ) from None
     return found
 
 
 def _lines(verdict: Verdict) -> Iterator[str]:
-    """Yield the lines of `devices parse`: verdict, axes, forces, and unused parts of the descriptor."""
+    """Yield the output lines of `devices parse`: verdict, axes, forces, and unused parts of the descriptor."""
     if verdict.plan is None:
         yield f"cannot be driven: {verdict.why_not}"
     else:

@@ -1,4 +1,4 @@
-"""What a device can display: computed (`check`), or measured of the handle (`calibrate`) or of materials (`verify`)."""
+"""`hapticd check` computes what a device can display; `calibrate` measures the handle, `verify` the vibrations."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Finite,
     config_option,
-    doing,
     json_option,
     note,
     output_option,
     overwrite_option,
     print_json,
     print_table,
+    status_line,
 )
 from hapticd.rendering.stability_text import stability_words
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 DEFAULT_DRIVE_FORCE_N: Final = 1.0
 """Largest force of `hapticd calibrate` by default, in N."""
 TAKE_HOLD_PAUSE_S: Final = 5.0
-"""Pause of `hapticd calibrate --yes` in which the handle is taken, in s."""
+"""Pause of `hapticd calibrate --yes` in which the user takes the handle, in s."""
 _ACCELEROMETER_HELP: Final = (
     "Recording of an accelerometer on the handle, .npz or .csv with time_s and acceleration_m_per_s2"
 )
@@ -164,10 +164,10 @@ def calibrate_command(
 ) -> None:
     """Measure mass, damping and dry friction of the handle, and mass, damping and stiffness of the hand on it.
 
-    Weak bursts drive the handle along one axis: half a minute alone, then half a minute held as it will be used. Their
-    frequencies go from a few hertz to the one at which the motion is less than an encoder step. The hand is the
-    difference of the two drives. The command fails if the handle leaves the middle third of its travel. Ctrl-C sets the
-    force to zero.
+    Weak bursts drive the handle along one axis: half a minute released, then half a minute held as it will be used.
+    Their frequencies rise from a few hertz until the motion is less than an encoder step. The parameters of the hand
+    are the difference of the two measurements. The command fails if the handle leaves the middle third of its travel.
+    Ctrl-C sets the force to zero.
     """
     from hapticd.analysis.calibration import handle
     from hapticd.analysis.calibration.accelerometer import check_name
@@ -192,7 +192,7 @@ def calibrate_command(
             time.sleep(TAKE_HOLD_PAUSE_S)
 
     try:
-        with doing() as show:
+        with status_line() as show:
             found = handle.calibrate(config, axis, force_n, ask, show, wide=accelerometer is not None)
     except KeyboardInterrupt:
         note("interrupted; the force is zero, nothing was written")
@@ -260,14 +260,14 @@ def verify_command(
     yes: bool,
     as_json: bool,
 ) -> None:
-    """Measure how far the acceleration of the handle is from the library, for each tap, groove and rupture.
+    """Measure the error of the handle's acceleration for each tap, groove and rupture of the materials.
 
-    Taps and grooves are struck as at --speed, grooves with a normal force of 1 N. The error is the RMS of the
-    difference over the RMS of the library, from 30 Hz to 0.4 of the servo rate.
+    Taps and grooves are played as for --speed, grooves with a normal force of 1 N. The error is the RMS of measured
+    minus nominal acceleration, divided by the RMS of the nominal one, from 30 Hz to 0.4 of the servo rate.
 
     With the simulated joystick the motion is known exactly, and each tap is also measured on a wall of its material. A
-    real device needs an accelerometer that records meanwhile. Hold the handle as it will be used. Strikes are half a
-    second from each other.
+    real device needs an accelerometer that records meanwhile. Hold the handle as it will be used. Strikes follow each
+    other every half second.
     """
     from hapticd.analysis.calibration import verify
     from hapticd.analysis.calibration.accelerometer import load_recording

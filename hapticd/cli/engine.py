@@ -1,4 +1,4 @@
-"""Options, progress and result of commands that compute many pieces on dask."""
+"""Options, progress and result of commands that compute many points, fits or sessions on dask."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import click
 
 from hapticd.base import wording
-from hapticd.cli.common import doing, note, options
+from hapticd.cli.common import note, options, status_line
 
 if TYPE_CHECKING:
     from hapticd.sweeps.engine import Outcome, Progress
@@ -27,7 +27,7 @@ _PROGRESS_PERIOD_S: Final = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """The values of the options that say where to compute."""
+    """Values of the options that select the workers."""
 
     workers: int | None
     threads: bool
@@ -36,9 +36,11 @@ class Where:
 
 
 def engine_options(what: str) -> Callable[[_F], _F]:
-    """Return the options `--workers`, `--threads`, `--scheduler` and `--again`. `what` names the pieces: points."""
+    """Return the options `--workers`, `--threads`, `--scheduler` and `--again`. `what` is a plural such as "points"."""
     return options(
-        click.option("--workers", type=click.IntRange(1, 1024), help="Number of processes [default: the processors]."),
+        click.option(
+            "--workers", type=click.IntRange(1, 1024), help="Number of processes [default: number of processors]."
+        ),
         click.option("--threads", is_flag=True, help="Compute in threads instead of processes; no port is opened."),
         click.option(
             "--scheduler",
@@ -61,7 +63,7 @@ def require_engine(where: Where) -> None:
 
 
 def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome, Store]:
-    """Compute the pieces that the folder lacks, with progress on stderr. `what` names one piece: point."""
+    """Compute the points that the folder lacks, with progress on stderr. `what` names one of them: "point"."""
     from hapticd.sweeps import engine
     from hapticd.sweeps.cluster import client_of
     from hapticd.sweeps.interrupts import sigterm_ends
@@ -85,7 +87,7 @@ def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome
 
 
 def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict[str, object]:
-    """Return the outcome for --json. `what` names the pieces: points."""
+    """Return the outcome for --json. `what` is the key of their number: "points"."""
     fields = asdict(outcome)
     for name in ("seconds", "worker_seconds"):
         fields[name] = round(fields[name], 3)
@@ -93,7 +95,7 @@ def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict
 
 
 def outcome_text(outcome: Outcome, what: str) -> str:
-    """Return the outcome in one line. `what` names one piece: point."""
+    """Return the outcome in one line. `what` names one of the points: "fit"."""
     return (
         f"{wording.count(outcome.points, what)}: {outcome.computed} computed in {outcome.seconds:.1f} s "
         f"({outcome.worker_seconds:.1f} s of workers), {outcome.reused} already existed, {outcome.failed} failed"
@@ -115,5 +117,5 @@ def _progress(what: str) -> Iterator[Callable[[Progress], None]]:
             last = monotonic()
             note(line)
 
-    with doing() as show:
+    with status_line() as show:
         yield report

@@ -32,8 +32,8 @@ def analyze_command(
 ) -> None:
     """Compute statistics of the sessions in each FOLDER of a session, a participant or a data set.
 
-    Depending on the study these are percentage correct against chance, pairs, scales, confusions, psychometric
-    functions and measures of the motion, with the published results that the study names for comparison.
+    Depending on the study these are percentage correct against chance, paired comparisons, scale values, confusion
+    matrices, psychometric functions and measures of the motion, next to the published results that the study names.
     """
     from hapticd.experiment import report
     from hapticd.experiment.analyze import analyze

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hapticd.system.paths import RuntimePaths
 
 PARTICIPANT_PAGE_PORT = 8766
-"""Default port of the participant's page; `hapticd web` uses the one before."""
+"""Default port of the participant's page. The default of `hapticd web` is 8765."""
 
 pages_options = listening_options(
     "both pages",
@@ -36,7 +36,7 @@ demo_option = click.option(
 
 @contextmanager
 def place_of_session(ctx: click.Context, demo: bool) -> Iterator[RuntimePaths]:
-    """Yield the paths of the session's daemon; with `demo` start a separate daemon for the `with`."""
+    """Yield the paths of the session's daemon; with `demo` start a separate daemon that ends with the block."""
     if not demo:
         from hapticd.protocol.places import place_of
 
@@ -60,7 +60,7 @@ def rig_at(place: RuntimePaths) -> Config:
 
 @contextmanager
 def live_stage(place: RuntimePaths, lsl: bool) -> Iterator[DaemonStage]:
-    """Yield the daemon at `place` as a stage; with `lsl` also stream samples and events to Lab Streaming Layer."""
+    """Yield the stage that renders trials on the daemon at `place`; with `lsl` also stream to Lab Streaming Layer."""
     from hapticd.client.blocking import Client
     from hapticd.experiment.daemon_stage import DaemonStage
 
@@ -77,11 +77,11 @@ def run_on_pages(
     place: RuntimePaths,
     simulated: bool,
     listening: Listening,
-    made: Plan,
+    plan: Plan,
     lsl: bool,
     session: Callable[[Stage, PagesFront], int],
 ) -> int:
-    """Serve both pages while `session` runs on the daemon at `place`, and return its exit code.
+    """Serve both pages while `session` runs on the daemon at `place`; return the session's exit code.
 
     `simulated` says whether that daemon has the simulated joystick.
     """
@@ -91,7 +91,7 @@ def run_on_pages(
     from hapticd.experiment.pages.process import News, Options, run
 
     news = News()
-    front = PagesFront(made, news)
+    front = PagesFront(plan, news)
 
     def on_stage() -> int:
         with live_stage(place, lsl) as stage:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _SIMULATED_PREFIX = "simulated:"
 """Prefix of the value of --participant for a simulated participant."""
 _SessionOpener: TypeAlias = "Callable[[Stage], tuple[SessionFolder, SessionLog]]"
-"""A function that creates or opens the folder and the log of a session on a stage."""
+"""A function that creates or opens the folder and the log of a session; the stage renders its trials."""
 
 _TEXT_WITH_DEMO_ERROR = "--text cannot be combined with --demo: only a page moves the hand of the simulated joystick"
 
@@ -103,7 +103,7 @@ def run_command(
     from hapticd.config.configuration import load_config
     from hapticd.config.shipped_files import file_of
     from hapticd.experiment.bids import check_one_study, other_version
-    from hapticd.experiment.plan import plan
+    from hapticd.experiment.plan import plan as make_plan
     from hapticd.experiment.session import begin
     from hapticd.experiment.session_folder import check_new, numbered
     from hapticd.experiment.study import load_study
@@ -150,12 +150,12 @@ def run_command(
         return run_bulk(found, source, people, session, found.order.seed if seed is None else seed, output, engine)
 
     def run_one(label: str, simulated: bool) -> int:
-        made = plan(found, label, session, found.order.seed if seed is None else seed)
+        plan = make_plan(found, label, session, found.order.seed if seed is None else seed)
         check_new(output, label, session)  # before a daemon or a page is started
         return _with_stage(
             ctx,
-            made,
-            lambda stage: begin(output, source, made, _about(stage, simulated, offline, telemetry)),
+            plan,
+            lambda stage: begin(output, source, plan, _about(stage, simulated, offline, telemetry)),
             pages=None if text or simulated else listening,
             demo=demo,
             offline=offline,
@@ -219,8 +219,8 @@ def _about(stage: Stage, simulated: bool, offline: bool, telemetry: bool | None)
 
 def _with_stage(
     ctx: click.Context,
-    made: Plan,
-    opens: _SessionOpener,
+    plan: Plan,
+    open_session: _SessionOpener,
     *,
     pages: Listening | None,
     demo: bool,
@@ -228,34 +228,34 @@ def _with_stage(
     lsl: bool,
     telemetry: bool,
 ) -> int:
-    """Run the session that `opens` creates or opens on a stage: offline, at the terminal, or with pages."""
+    """Run the session that `open_session` creates or opens: offline, at the terminal, or with pages."""
     from hapticd.experiment.offline_stage import OfflineStage
 
     if offline:
         stage = OfflineStage(telemetry)
-        folder, log = opens(stage)
-        return _run(stage, folder, log, made, _front(folder, made), demo, keep=telemetry, clock=stage.now_s)
+        folder, log = open_session(stage)
+        return _run(stage, folder, log, plan, _front(folder, plan), demo, keep=telemetry, clock=stage.now_s)
     with place_of_session(ctx, demo) as place:
         rig = rig_at(place)
-        _note_undisplayable(made.study, rig, named=pages is not None)
+        _note_undisplayable(plan.study, rig, named=pages is not None)
         if pages is not None:
             return run_on_pages(
                 place,
                 rig.device.kind == "sim",
                 pages,
-                made,
+                plan,
                 lsl,
-                lambda stage, front: _run_shown(stage, front, opens, made, demo),
+                lambda stage, front: _run_shown(stage, front, open_session, plan, demo),
             )
         with live_stage(place, lsl) as live:
-            folder, log = opens(live)
-            return _run(live, folder, log, made, _front(folder, made), demo)
+            folder, log = open_session(live)
+            return _run(live, folder, log, plan, _front(folder, plan), demo)
 
 
 def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
     """Warn of stimuli that the device does not display as written; the session begins nevertheless.
 
-    `named` adds the names of the stimuli, which a participant at this terminal must not read.
+    With `named` the stimuli are listed, which a participant at this terminal must not read.
     """
     from hapticd.experiment.cells import cells_of
     from hapticd.experiment.check import display_problems
@@ -268,14 +268,14 @@ def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
         note(f"{things} of the study cannot be displayed as written; `hapticd experiment check` lists them")
 
 
-def _run_shown(stage: Stage, front: PagesFront, opens: _SessionOpener, made: Plan, demo: bool) -> int:
-    """Run the session as `_run` does, and show its end on the pages."""
+def _run_shown(stage: Stage, front: PagesFront, open_session: _SessionOpener, plan: Plan, demo: bool) -> int:
+    """Run the session as `_run` does, and show on the pages that it has ended."""
     thanks = "# Thank you\n\nThis was all. You can take your hand off the handle."
     stopped = "# The session has stopped\n\nThe forces are off. You can take your hand off the handle."
     try:
-        folder, log = opens(stage)
+        folder, log = open_session(stage)
         front.opened(log.records)
-        code = _run(stage, folder, log, made, front, demo)
+        code = _run(stage, folder, log, plan, front, demo)
     except HapticdError as error:
         # The forces may still be on, as the daemon may not answer.
         front.over(
@@ -292,7 +292,7 @@ def _run(
     stage: Stage,
     folder: SessionFolder,
     log: SessionLog,
-    made: Plan,
+    plan: Plan,
     front: Front,
     demo: bool,
     keep: bool = True,
@@ -310,11 +310,11 @@ def _run(
     session = Session(
         folder,
         log,
-        made,
+        plan,
         stage,
         front,
-        procedures=partial(procedure_of, made.study),
-        at_level=partial(at_level, made.study),
+        procedures=partial(procedure_of, plan.study),
+        at_level=partial(at_level, plan.study),
         keep_telemetry=keep,
         monotonic_s=clock or time.monotonic,
     )
@@ -324,7 +324,7 @@ def _run(
         # Also after an interruption: the tables have everything in the log.
         write_tables(folder)
     unneeded = len(session.done) - session.answered
-    most = "at most " if made.study.may_end_early else ""
+    most = "at most " if plan.study.may_end_early else ""
     besides = f" ({unneeded} not needed)" if unneeded else ""
     done = f"{folder.path}: {session.answered} of {most}{session.total} trials"
     if ending == "ended":
@@ -338,12 +338,12 @@ def _how_to_resume(folder: SessionFolder, demo: bool) -> str:
     return f"continue with `hapticd experiment resume {folder.path}{' --demo' if demo else ''}`"
 
 
-def _front(folder: SessionFolder, made: Plan) -> Front:
-    """Return the simulated participant of the session, or else the front at the terminal."""
+def _front(folder: SessionFolder, plan: Plan) -> Front:
+    """Return the simulated participant of the session, or the dialog at the terminal for a real one."""
     from hapticd.experiment.participants.simulated import SimulatedFront, task_of
     from hapticd.experiment.text_front import TextFront
 
     stage = folder.about["stage"]
     if isinstance(stage, dict) and stage.get("simulated"):
-        return SimulatedFront(made.seed, f"{made.participant}/{made.session}", task_of(made))
+        return SimulatedFront(plan.seed, f"{plan.participant}/{plan.session}", task_of(plan))
     return TextFront()

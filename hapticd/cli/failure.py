@@ -1,4 +1,4 @@
-"""How a failed command reports its error on stderr: one line, on a terminal one for each fault; with --json an object.
+"""Errors of failed commands on stderr: one line, or on a terminal one line for each fault; with --json an object.
 
     {"error": {"message": "...", "code": -32003, "exit_code": 1, "problems": [{"where": "...", "problem": "..."}]}}
 

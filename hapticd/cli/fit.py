@@ -17,7 +17,6 @@ from hapticd.base.files import check_new, write_atomically
 from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Finite,
-    doing,
     json_option,
     note,
     options,
@@ -26,6 +25,7 @@ from hapticd.cli.common import (
     print_json,
     print_table,
     results_option,
+    status_line,
 )
 from hapticd.cli.engine import Where, computed, engine_options, outcome_dict, outcome_text, require_engine
 from hapticd.cli.synthesize import synthesize_command
@@ -188,7 +188,7 @@ def _run(
         drawing.require(report)
     library = materials_of(output) if merge and output is not None and os.path.exists(output) else {}
 
-    with doing() as step:
+    with status_line() as step:
         recordings, unused, fitted = fitted_files(files, kind, asked, step, strict)
     notes, fit = list(fitted.notes), fitted.fit
     part = contribution_of(kind, fitted, recordings)
@@ -230,8 +230,8 @@ def batch_command(tree: str, output: Path | None, as_json: bool, **where: Any) -
     """Fit the recordings in each folder TREE/MATERIAL/KIND in parallel.
 
     KIND is tap, grooves, texture or puncture. The folder of results gets the materials, tables and a page that ranks
-    them by verdict. Fits that are in it are not computed again; Ctrl-C keeps the finished ones. A refused fit is a row
-    with its reason. The exit code is 1 if a fit was refused, otherwise 0.
+    them by verdict. Finished fits are not computed again; Ctrl-C keeps them. The tables list the reason of each refused
+    fit. The exit code is 1 if a fit was refused, otherwise 0.
     """
     from hapticd.analysis.statistics import require_scipy
     from hapticd.sweeps.batches.batch import Batch
@@ -284,7 +284,7 @@ def _can_draw() -> bool:
 
 
 def _print_ranking(results: Sequence[MaterialResult]) -> None:
-    """Print the ranking: of a long one the worst fits, which need attention; one line each if not on a terminal."""
+    """Print the ranking, at most the 100 worst materials; if stdout is not a terminal, one line for each."""
     hidden = max(0, len(results) - _MAX_RANKING_ROWS)
     if hidden:
         click.echo(f"the best {hidden} are not shown; see ranking.csv")

@@ -211,8 +211,8 @@ def stop_device_command(as_json: bool) -> None:
 def script(shell: str) -> str:
     """Return the completion script of click for a shell, with three corrections.
 
-    Errors during a completion do not appear on the terminal; fish shows help texts beyond their first comma; zsh, if it
-    loads the script from its fpath, completes at the second key press as well.
+    Errors during a completion are not printed. In fish, help texts are not cut at their first comma. In zsh, a script
+    that is loaded from fpath also works after the first completion.
     """
     from hapticd.cli import cli
 
@@ -273,11 +273,11 @@ def _bench() -> ModuleType:
     metavar="DIR",
     help="Folder of the pages [default: docs of the source tree if everything is measured].",
 )
-@click.option("--overwrite", is_flag=True, help="Replace existing pages; of a partial run, its sections only.")
+@click.option("--overwrite", is_flag=True, help="Replace existing pages; a partial run replaces only its sections.")
 def bench_command(names: tuple[str, ...], list_names: bool, quick: bool, out: Path | None, overwrite: bool) -> int:
     """Measure speed and accuracy on this machine: the benchmarks NAMES, or all of them.
 
-    A run of all ends with its duration. The benchmarks are in the source tree, so the command works only there.
+    A run of all benchmarks prints its duration. The command works only in a source tree, which has the benchmarks.
     """
     bench = _bench()
     if list_names:

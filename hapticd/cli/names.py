@@ -1,7 +1,7 @@
 """Completion of names in a shell: shipped files, materials, objects.
 
-The user waits for the result of a key. So each completion imports only what it needs, asks no other machine, and offers
-nothing if an error occurs.
+The user waits after pressing Tab. So each completion imports only the modules that it needs, connects to no other
+machine, and offers nothing if an error occurs.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _UNQUOTED_NAME: Final = re.compile(r"[\w.+-]+")
 """File names that no shell has to quote; others are not offered."""
 
 
-def _offered(known: Callable[[click.Context], Iterable[str]], otherwise: str | None = None) -> Complete:
-    """Return a completion of the known names. If none matches, the shell completes the type `otherwise`, as file."""
+def _completion_of(known: Callable[[click.Context], Iterable[str]], otherwise: str | None = None) -> Complete:
+    """Return a completion of the known names. If none matches, the shell completes the type `otherwise`: "file"."""
 
     def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
         found = [CompletionItem(name) for name in known(ctx) if name.startswith(incomplete)]
@@ -49,11 +49,11 @@ def _files(folder: Folder) -> Complete:
             *sorted(path.name for path in Path().glob("*.yaml") if _UNQUOTED_NAME.fullmatch(path.name)),
         ]
 
-    return _offered(known, otherwise="file")
+    return _completion_of(known, otherwise="file")
 
 
-def _asked(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
-    """Return the keys of the mapping that `ask` gets from the daemon; none if it does not answer in time."""
+def _keys_from_daemon(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
+    """Return the keys of the mapping that `ask` requests from the daemon; [] if it does not answer in time."""
     from hapticd.client.blocking import connect
 
     try:
@@ -80,10 +80,10 @@ def _names(mapping: object) -> list[str]:
 
 scenes, operators = _files("scenes"), _files("operators")
 experiments, sweeps = _files("experiments"), _files("sweeps")
-shipped_materials = _offered(_shipped_materials)
-materials = _offered(
-    lambda ctx: _asked(ctx, lambda client: client.get_materials()["materials"]) or _shipped_materials(ctx)
+shipped_materials = _completion_of(_shipped_materials)
+materials = _completion_of(
+    lambda ctx: _keys_from_daemon(ctx, lambda client: client.get_materials()["materials"]) or _shipped_materials(ctx)
 )
 """Completion of the materials of the daemon, or of the shipped ones if it does not answer."""
-objects = _offered(lambda ctx: _asked(ctx, lambda client: client.get_scene()["scene"].get("objects")))
+objects = _completion_of(lambda ctx: _keys_from_daemon(ctx, lambda client: client.get_scene()["scene"].get("objects")))
 """Completion of the objects in the scene of the daemon."""

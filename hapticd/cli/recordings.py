@@ -15,7 +15,6 @@ from hapticd.cli import names
 from hapticd.cli.common import (
     Finite,
     daemon,
-    doing,
     for_option,
     json_option,
     note,
@@ -23,6 +22,7 @@ from hapticd.cli.common import (
     output_option,
     overwrite_option,
     print_result,
+    status_line,
     stopped_by_signals,
 )
 
@@ -57,8 +57,8 @@ def record_command(file: str, duration_s: float | None, notes: dict[str, str], o
     """Record every tick and event to FILE (.npz), with the configuration, scene and materials for `hapticd replay`.
 
     FILE appears when the recording is complete. If its suffix is .mcap or .csv, the recording goes to the .npz of the
-    same name, and FILE is exported from it at the end. If an earlier recording to FILE was killed, a note says so;
-    `hapticd recover FILE` recovers it.
+    same name, and FILE is exported from it at the end. A note reports an earlier recording to FILE that was killed and
+    can be recovered with `hapticd recover FILE`.
     """
     from hapticd.client.record import record
     from hapticd.recording.recording import check_target
@@ -68,7 +68,7 @@ def record_command(file: str, duration_s: float | None, notes: dict[str, str], o
     found = partial_files_warning(file)
     if found is not None:
         note(found)
-    with daemon() as client, stopped_by_signals() as stop, doing() as show:
+    with daemon() as client, stopped_by_signals() as stop, status_line() as show:
         recording = record(
             client,
             file,
@@ -154,7 +154,7 @@ def flight_command(file: str | None, overwrite: bool, as_json: bool) -> None:
 @overwrite_option
 @json_option
 def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
-    """Render FILE again, without daemon and clock, and compare the forces with the recorded ones.
+    """Render FILE again, without a daemon and not in real time, and compare the forces with the recorded ones.
 
     FILE is a .npz of `record`, `simulate` or `flight`. The exit code is 1 if any bit of the forces differs.
     """
@@ -170,7 +170,7 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
     return 0 if again.identical == len(again.samples) else 1
 
 
-@click.command("simulate", short_help="Simulate a scene without daemon and clock.")
+@click.command("simulate", short_help="Simulate a scene without a daemon.")
 @click.argument("scene", shell_complete=names.scenes)
 @click.option(
     "--operator",
@@ -200,7 +200,7 @@ def simulate_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Simulate SCENE with the simulated joystick, without daemon and clock.
+    """Simulate SCENE with the simulated joystick, without a daemon and not in real time.
 
     SCENE is YAML with a scene or a complete configuration, or the name of a shipped scene. The core is that of the
     daemon, and every run has the same result. The handle starts at the first waypoint if that is at 0 s; otherwise, and
@@ -237,9 +237,8 @@ def simulate_command(
 def lsl_command(duration_s: float | None, as_json: bool) -> int:
     """Stream the samples of the daemon and the event codes of sessions to Lab Streaming Layer.
 
-    The outlet `hapticd samples` has a number for each axis and quantity, `hapticd events` the codes that
-    docs/experiments.md lists. The command needs the extra `lsl`. It must run on the machine of the daemon, whose clock
-    it uses.
+    The outlet `hapticd samples` has a channel for each axis of each quantity. The outlet `hapticd events` has the codes
+    in docs/experiments.md. The command needs the extra `lsl`, and runs on the daemon's machine, whose clock it uses.
     """
     from hapticd.experiment.lsl import EVENTS_OUTLET, SAMPLES_OUTLET, stream
 

@@ -24,7 +24,7 @@ class OutputLost(HapticdError, OSError):
 class _Stream(io.FileIO):
     """A stream that discards what cannot be written, so that a daemon continues without its log.
 
-    With `raises` only the first failed write raises OutputLost, so that flushing at the exit raises nothing.
+    With `raises` the first failed write raises OutputLost; later ones do not, since Python flushes again at the exit.
     """
 
     def __init__(self, descriptor: int, raises: bool) -> None:
@@ -48,10 +48,10 @@ class _Stream(io.FileIO):
 
 @contextmanager
 def guarded() -> Iterator[Callable[[], bool]]:
-    """Make a failed write to `sys.stdout` raise OutputLost, and one to `sys.stderr` nothing, within a `with`.
+    """Within a `with`, make failed writes to `sys.stdout` raise OutputLost, and ignore those to `sys.stderr`.
 
-    Yields a function that returns whether the last write to stderr failed, for the exit code. Streams that the caller
-    has replaced are left as they are.
+    Yields a function that returns whether the last write to stderr failed, for the exit code. A stream that the caller
+    has replaced is not changed.
     """
     before, errors = (sys.stdout, sys.stderr), None
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout is sys.__stdout__:

@@ -18,7 +18,7 @@ from hapticd.cli.sweep_show import show_command
 def sweep_command() -> None:
     """Simulate many configurations, the points of a sweep, on all processors or a cluster.
 
-    The results are rows of Parquet in a folder. Points that are in it are not computed again.
+    The results are rows of Parquet in a folder. Points with a row are not computed again.
     """
 
 
@@ -30,8 +30,8 @@ def sweep_command() -> None:
 def run_command(study: str, output: Path | None, as_json: bool, **where: Any) -> int:
     """Compute the points of STUDY.yaml that the folder of results lacks.
 
-    STUDY.yaml may be the name of a shipped sweep. Ctrl-C keeps the finished points; the same command continues. A point
-    that cannot be computed is a row with its reason. The exit code is 0 if every point has a result, otherwise 1.
+    STUDY.yaml may be the name of a shipped sweep. Ctrl-C keeps the finished points; the same command continues. The row
+    of a point that cannot be computed has the reason. The exit code is 0 if every point has a result, otherwise 1.
     """
     from hapticd.sweeps.study import load_sweep
 

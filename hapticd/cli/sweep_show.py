@@ -25,7 +25,7 @@ _OTHER_RESULTS_BY_KIND: Final = {
     "batch": "results of hapticd fit batch; see its report.html",
     "participants": "sessions of simulated participants; use: hapticd experiment analyze",
 }
-"""Folders of other commands that use the engine of sweeps: their contents, and what shows them."""
+"""Contents of the result folders of other commands that use the engine of sweeps, and what displays them."""
 
 
 @click.command("show", short_help="Show the results of a sweep.")
@@ -73,7 +73,7 @@ def show_command(
 
 
 def _draw(store: Store, folder: Path | None, page: str | None, overwrite: bool) -> None:
-    """Write the figures and the page. Raises HapticdError before drawing if a target cannot be written."""
+    """Write the figures and the page. Raises HapticdError before drawing if an output cannot be written."""
     from hapticd.analysis.drawing import require_matplotlib
     from hapticd.sweeps import figures, report_page
     from hapticd.sweeps.results import load_results

@@ -36,6 +36,7 @@ _Truth = dict[str, float]
 RECORDING_SUFFIX: Final = ".npz"
 MATERIAL_BY_KIND: Final = {"tap": "wood", "grooves": "comb", "texture": "sandpaper_100", "puncture": "cellophane"}
 """The kinds of recordings, each with its default material."""
+# Defaults of --speed, --force and --duration.
 TAP_SPEEDS_M_PER_S: Final = (0.08, 0.11, 0.14, 0.17, 0.2, 0.23, 0.26, 0.29, 0.32, 0.35)
 PUNCTURE_SPEEDS_M_PER_S: Final = (0.03, 0.05, 0.08, 0.12)
 STROKE_SPEEDS_M_PER_S: Final = (0.05, 0.12)
@@ -167,7 +168,7 @@ def _taps(material: Material, stylus: Stylus, speeds: Sequence[float]) -> tuple[
         raise ValueError("its tap is a waveform, synthetic taps are modes")
     recording, truth = taps(tap, speeds, stylus)
     slope = {"slope_per_s": truth.slope_per_s, "first_peak_slope_per_s": truth.slope_per_s * truth.mode.peak}
-    return [recording], slope | _of(truth.mode, "frequency_hz", "decay_time_s")
+    return [recording], slope | _values(truth.mode, "frequency_hz", "decay_time_s")
 
 
 def _strokes(
@@ -185,39 +186,41 @@ def _strokes(
     if kind == "grooves" and isinstance(coarse, Grooves) and coarse.frequency_table is not None:
         raise ValueError("the frequency of its grooves depends on speed and force, which the fit does not support")
     stroke = grooves if kind == "grooves" else texture
-    made = zip(pairs, _others(stylus, len(pairs)), strict=True)
+    made = zip(pairs, _seeded(stylus, len(pairs)), strict=True)
     found = [stroke(material, *pair, each, hand) for pair, each in made]
     if isinstance(coarse, Autoregressive):
         return found, {}  # the parameters are the models of the material
-    gains = _of(coarse, "velocity_gain_per_s", "force_gain_m_per_s2_per_n")
+    gains = _values(coarse, "velocity_gain_per_s", "force_gain_m_per_s2_per_n")
     if kind == "texture":
-        return found, _of(coarse, "peak_hz", "mean_hz") | gains
-    return found, _of(coarse, "spacing_m") | _of(material.groove_mode, "frequency_hz", "decay_time_s") | gains
+        return found, _values(coarse, "peak_hz", "mean_hz") | gains
+    return found, _values(coarse, "spacing_m") | _values(material.groove_mode, "frequency_hz", "decay_time_s") | gains
 
 
 def _punctures(material: Material, stylus: Stylus, speeds: Sequence[float]) -> tuple[list[Recording], _Truth]:
     from hapticd.fit.synthesize import puncture
 
-    made = zip(speeds, _others(stylus, len(speeds)), strict=True)
+    made = zip(speeds, _seeded(stylus, len(speeds)), strict=True)
     found = [puncture(material, speed, each) for speed, each in made]
     rupture = material.rupture
     assert rupture is not None  # puncture() raises ValueError without it
     depth_m, stiffness = rupture.rupture_depth_m, material.stiffness_n_per_m
     truth = {"stiffness_n_per_m": stiffness, "depth_m": depth_m, "force_n": stiffness * depth_m}
-    return found, truth | _of(rupture, "amplitude_m_per_s2") | _of(rupture.mode, "frequency_hz", "decay_rate_per_s")
+    return found, truth | _values(rupture, "amplitude_m_per_s2") | _values(
+        rupture.mode, "frequency_hz", "decay_rate_per_s"
+    )
 
 
-def _of(owner: object, *figures: str) -> _Truth:
-    return {name: getattr(owner, name) for name in figures}
+def _values(owner: object, *names: str) -> _Truth:
+    return {name: getattr(owner, name) for name in names}
 
 
-def _others(stylus: Stylus, count: int) -> list[Stylus]:
-    """Return a stylus for each recording. Commands with different seeds share no seed, up to 1000 recordings each."""
+def _seeded(stylus: Stylus, count: int) -> list[Stylus]:
+    """Return a stylus with a separate seed for each recording; up to 1000 share no seed with another --seed."""
     return [replace(stylus, seed=1000 * stylus.seed + index) for index in range(count)]
 
 
 def _targets(output: str, count: int) -> list[str]:
-    """Return the names of `count` files: the given one, or several with -1, -2 and so on."""
+    """Return the names of `count` files: `output`, or if there are several, that with -1, -2 and so on."""
     if count == 1:
         return [output]
     stem, ending = os.path.splitext(output)

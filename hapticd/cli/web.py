@@ -43,7 +43,7 @@ def web_command(
 ) -> int:
     """Serve a page for the browser with scene, forces and an oscilloscope, in which the mouse can be the hand.
 
-    The command prints an address that lets in one browser, once; SIGUSR1 prints another. An ADDRESS that other machines
+    The command prints an address that admits one browser, once; SIGUSR1 prints another. An ADDRESS that other machines
     can reach requires --tls-cert, --tls-key and --password-file. Ctrl-C ends the command.
     """
     if importlib.util.find_spec("aiohttp") is None:

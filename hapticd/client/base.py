@@ -23,7 +23,7 @@ def connect_commands(socket: zmq.Socket[Any], place: RuntimePaths) -> None:
 
 
 def warn(warning: Warning) -> None:
-    """Issue a warning at the line that called the client, whatever the number of frames of this package between."""
+    """Issue a warning at the line that called the client: the nearest stack frame outside this package."""
     frame, level = sys._getframe(1), 2
     while frame.f_globals.get("__name__", "").startswith(_OWN_MODULES) and frame.f_back is not None:
         frame, level = frame.f_back, level + 1

@@ -1,4 +1,4 @@
-"""Writing a flight file, a summary of its contents as figures and as a line of text, and an optional copy."""
+"""Writing a flight file, summarizing it as JSON and as a line of text, and copying it."""
 
 from __future__ import annotations
 

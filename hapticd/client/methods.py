@@ -328,7 +328,7 @@ class Client(ABC):
         return end
 
     async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
-        """Take a lease, or renew that with `token`; a duration of 0 ends it. If it lapses, forces fade out."""
+        """Take a lease, or renew the lease of `token`; a duration of 0 ends it. If a lease lapses, forces fade out."""
         params = {"duration_s": duration_s} if token is None else {"duration_s": duration_s, "token": token}
         return cast(LeaseResult, await self.call("lease", params))
 
@@ -423,8 +423,8 @@ class Client(ABC):
         DaemonNotRunning if nothing arrives for `timeout_s` (by default that of the client), and warns (TelemetryLoss)
         if the program reads too slowly.
 
-        With `newest` an item is the next batch that the daemon sends after it was requested. Batches between two items
-        are skipped: their samples are counted in `lost`, without a warning.
+        With `newest` an item is the first batch that the daemon sends after the program requests the item. Batches
+        between two items are skipped: their samples are counted in `lost`, without a warning.
         """
         from hapticd.client.samples import SampleStream
 
@@ -434,8 +434,8 @@ class Client(ABC):
     def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
         """Subscribe to the newest sample as a dictionary, 60 times a second.
 
-        With `newest` an item is the next sample that the daemon sends after it was requested, so a slow reader never
-        gets an old one.
+        With `newest` an item is the first sample that the daemon sends after the program requests the item, so a slow
+        reader never gets an old one.
         """
         newest = arguments.flag("newest", newest)
         return Subscription(self, ("state",), lambda _, message: cast(State, message), timeout_s, newest)
@@ -451,7 +451,7 @@ class Client(ABC):
     def telemetry(
         self, *topics: Topic, timeout_s: float | None = None
     ) -> Subscription[tuple[Topic, dict[str, object]]]:
-        """Subscribe to several topics on one socket; items are pairs of topic and message, in the order of sending."""
+        """Subscribe to several topics on one socket; items are pairs of topic and message, in the order sent."""
         return Subscription(self, topics, lambda topic, message: (topic, message), timeout_s)
 
 
@@ -588,9 +588,9 @@ class Subscription(Generic[T]):
 
 
 def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) -> GestureEnd | None:
-    """Return the end of the motion that was set at a tick if a message of telemetry or a status has it, else None.
+    """Return the end of the motion that was set at a tick, or None if this event or status does not report it.
 
-    Raises HapticdError if the daemon no longer has the motion.
+    Raises HapticdError if the daemon no longer knows the motion.
     """
     if topic == "event":
         ours = message.get("event") == "gesture_end" and message.get("started_tick") == started_tick

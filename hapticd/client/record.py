@@ -45,7 +45,7 @@ DAEMON_STOPPED_REASON: Final = "the daemon stopped"
 """`ended_because` of a recording whose daemon ended or was killed."""
 
 END_SILENCE_S: Final = 0.2
-"""Time without messages, in s, after which all samples of a daemon without a socket have arrived."""
+"""A daemon whose socket is closed has stopped if no message arrives for this time, in s."""
 
 _MAX_SCENE_READS: Final = 10
 """Number of attempts to read scene and materials while other clients change the materials."""
@@ -232,7 +232,7 @@ class _Session:
         return STOPPED_REASON if interval.ends else None
 
     def ask_status(self) -> int | None:
-        """Store the status of the end, with its clocks, and return the tick of the servo; None if there is no reply."""
+        """Store the status at the end of the recording, and return the servo's tick; None if there is no reply."""
         with suppress(HapticdError):
             self._newest = self._client.get_status()
             return cast("int | None", self._newest.get("tick"))
@@ -255,7 +255,7 @@ class _Session:
                 self._scenes.apply(received[1])
 
     def _restarted(self) -> bool:
-        """Whether the daemon was restarted. Without a reply return false; the end is then noticed by silence."""
+        """Whether the daemon was restarted; false without a reply: then the missing messages end the recording."""
         with suppress(DaemonNotRunning):
             return bool(self._client.get_status()["started_ns"] != self._status["started_ns"])
         return False
@@ -280,7 +280,7 @@ class _Session:
             self._writer.write_event(event)
 
     def account(self, ended: str | None) -> dict[str, Any]:
-        """Return the contents of the recording and what is missing, as stored in the file."""
+        """Return the member `recording` of the file: counts of recorded and missing data, and notes."""
         return {
             "ticks": self._writer.count,
             "duration_s": self._interval.duration_s(self._writer.last_time_ns),
@@ -302,9 +302,9 @@ class _Session:
         missed, rendered = account["missed_periods"], account["ticks"] + account["lost"] + account["dropped"]
         if threshold is None or share(missed, rendered) <= threshold:
             return None
-        part = wording.percent(share(missed, rendered))
+        fraction = wording.percent(share(missed, rendered))
         return (
-            f"{missed:,} of {missed + rendered:,} periods were missed ({part}), more than "
+            f"{missed:,} of {missed + rendered:,} periods were missed ({fraction}), more than "
             f"servo.overruns.threshold ({wording.percent(threshold)}); `hapticd doctor` says what the machine lacks"
         )
 
@@ -312,8 +312,8 @@ class _Session:
 class _Scenes:
     """Scene and materials of the daemon: read at the start, then updated by each change.
 
-    If changes were lost, or one was too large to be sent, everything is read again. Revisions in between are missing in
-    the recording, and reported.
+    If changes were lost, or one was too large to be sent, everything is read again. The recording lacks the revisions
+    in between, and reports them.
     """
 
     def __init__(self, client: Daemon, writer: RecordingWriter) -> None:
@@ -345,7 +345,7 @@ class _Scenes:
         return {"status": status, "scene": scene, "materials": dict(self._materials)}
 
     def reached(self, revisions: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
-        """Return which revisions are the newest known one or later."""
+        """Return for each revision whether it is the newest known one or a later one."""
         return (revisions - np.uint32(self.revision)).astype(np.int32) >= 0
 
     def note_used(self, revisions: npt.NDArray[np.uint32]) -> None:
@@ -440,7 +440,7 @@ class _Interval:
         return self._complete or self._end_tick > self._last_tick or time.monotonic() > self._give_up_at
 
     def end_at(self, tick: int | None) -> None:
-        """End the interval after this tick, at the latest after a time-out; None: at once."""
+        """End the interval after this tick, at the latest after a time-out; with None end it now."""
         self.ends, self._complete = True, self._complete or tick is None
         self._last_tick = tick or 0
         self._give_up_at = time.monotonic() + FINAL_CHANGE_TIMEOUT_S
@@ -453,7 +453,7 @@ class _Interval:
         return self.duration_s(self._last_ns)
 
     def duration_s(self, last_ns: int) -> float:
-        """Return the time from the first sample to the end of that at `last_ns`, in s."""
+        """Return the time from the first sample to one period after that at `last_ns`, in s."""
         return (last_ns + self._period_ns - self._first_ns) / 1e9
 
     def clip(self, batch: SampleBatch) -> Samples:

@@ -1,7 +1,7 @@
 """The connection over which both kinds of client stream targets and forces, without waiting for replies.
 
-It is separate from that for calls, so that a message never waits for a call. All streams of a client share it; so the
-daemon sees one sender.
+It is separate from the connection for calls, so that a message never waits for a call. All streams of a client share
+it; so the daemon sees one sender.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Sent = TypeVar("Sent")
 REPLY_REQUEST_PERIOD_S: Final = 0.5
 """Period in which one message of each kind has an id, in s. The reply to it reports errors."""
 _MAX_QUEUED_MESSAGES: Final = 200
-"""Largest number of messages that are queued for a daemon that does not read; further ones are dropped."""
+"""Largest number of messages queued while the daemon does not read; further ones are dropped."""
 _PROBE_PERIOD_S: Final = 0.1
 """Shortest time between two checks whether a daemon listens, in s."""
 _CLOSE_LINGER_MS: Final = 1000
@@ -127,7 +127,7 @@ class Sender:
         return self._socket
 
     def _not_queued(self, now_s: float) -> None:
-        """Count a message that was dropped. Raises DaemonNotRunning if no daemon listens or reads."""
+        """Count a dropped message. Raises DaemonNotRunning if no daemon listens or reads."""
         self.unsent += 1
         if now_s - self._sent_s > self._timeout_s:
             raise places.no_answer(self._place, self._timeout_s)

@@ -36,12 +36,12 @@ PANEL_WIDTH: Final = 33
 EVENT_LINES: Final = 4
 """Number of events below the picture."""
 MIN_HALF_VIEW_M: Final = 0.08
-"""Smallest half height of the plane in the picture, in m."""
+"""Smallest distance from the middle of the picture to its upper edge, in m."""
 
 _BAR_WIDTH: Final = 12
 """Width of the bar of a force, in characters."""
 _LINE_LABELS: Final = ("tick", "position", "force x", "force y", "touching", "rate", "lateness", "missed", "faults")
-"""Labels of the figures that a plain line has."""
+"""Labels of the figures in a line for a file or a pipe."""
 _QUIET_EVENTS: Final = frozenset(("release", "overrun"))
 """Events that are not listed, since the figures `touching` and `missed` show them."""
 
@@ -190,7 +190,7 @@ class View:
         return lines
 
     def line(self) -> str:
-        """Return the state as a plain line."""
+        """Return the state as a line for a file or a pipe."""
         values = {label: value for label, _, value, _ in self._rows()}
         parts = [f"{label} {' '.join(values[label].split())}" for label in _LINE_LABELS if values.get(label)]
         return "  ".join(parts if self.status is None else [*parts, f"forces {self.status['forces']}"])
@@ -224,7 +224,7 @@ _EVENT_TEXT_BY_KIND: Final[dict[str, Callable[[Mapping[str, Any]], str]]] = {
     "gesture_end": lambda event: "completed" if event["completed"] else "replaced by another operator",
     "revision": lambda event: str(event["revision"]),
 }
-"""Text of an event of each kind, after its object."""
+"""Text of an event after its object, by kind of event."""
 
 
 def event_line(event: Mapping[str, Any]) -> str:
@@ -239,7 +239,7 @@ def event_line(event: Mapping[str, Any]) -> str:
 
 
 def bar(value: float, scale: float, width: int) -> str:
-    """Return a bar from the left; `scale` has the full `width`, in characters."""
+    """Return a bar from the left of `width` characters; it is full if `value` is `scale` or more."""
     filled = min(width, round(abs(value) / scale * width))
     return "█" * filled + "·" * (width - filled)
 
@@ -260,7 +260,7 @@ def draw_scene(scene: Mapping[str, Any], columns: int, rows: int, cell_m: float)
     cells: npt.NDArray[np.str_] = np.full((rows, columns), " ")
 
     def slab(center: Sequence[float], size: Sequence[float], angle: float) -> npt.NDArray[np.bool_]:
-        """Return the cells of a rectangle, which is at least one character wide and high."""
+        """Return the mask of the cells in a rectangle, which is at least one character wide and high."""
         right, up = x - center[0], y - center[1]
         along = right * math.cos(angle) + up * math.sin(angle)
         across = up * math.cos(angle) - right * math.sin(angle)
@@ -316,7 +316,7 @@ _Messages: TypeAlias = Subscription[_Item]
 
 
 def _follow(view: View, client: Client, messages: _Messages, every_s: float, lasts_s: float) -> Iterator[_Item | None]:
-    """Feed the view until `lasts_s` after the first message; yield each message, None after `every_s` without."""
+    """Feed the view until `lasts_s` after the first message; yield each message, or None if `every_s` pass without."""
     heard_s, ends_s = time.monotonic(), math.inf
     view.feed("status", client.get_status())
     while (now_s := time.monotonic()) < ends_s:
@@ -331,7 +331,7 @@ def _follow(view: View, client: Client, messages: _Messages, every_s: float, las
 
 
 def _draw(client: Client, messages: _Messages, console: Console, lasts_s: float) -> bool:
-    """Draw until `lasts_s` are over (return true) or the terminal is closed (return false)."""
+    """Draw until `lasts_s` after the first message (return true) or the terminal is closed (return false)."""
     view = View()
     shown_s = time.monotonic()
     asked_s = -math.inf

@@ -8,7 +8,7 @@ Documents, each validated by a model:
     modes                the ringing mode, Q(t) = A exp(-B t) sin(w t): its keys, its direction, tables over the speed
     waveform             a tap as a short curve of samples
     texture              what a surface feels like while the probe strokes along it: grooves, noise
-    operator             motion of the hand on the simulated joystick: waypoints or a gesture
+    operator             motion of the simulated hand: waypoints or a gesture
     hid                  `device.hid` and `device.replay`
     actuator             the actuator as a lag between command and force
     dynamics             mass and damping of handle and hand
@@ -17,8 +17,8 @@ Files:
 
     locations            which files the configuration is read from
     shipped_files        shipped scenes, operators and materials, by name
-    document_kinds       recognizes a scene, materials, a configuration and an operator by their keys
-    change_files         materials and a scene from files, for one change of a running daemon
+    document_kinds       recognizes the kind of a document by its keys: scene, materials, configuration, operator
+    change_files         reads materials and a scene from files, for one change of a running daemon
     file_faults          finds file, line and column of a fault that the daemon reports
     schema               JSON Schema of the configuration, for editors
 
@@ -28,6 +28,6 @@ Questions, and where to begin:
         In the model of its document: `servo` and `device` in configuration (Servo, Device), objects in scene.
     Which file did a value come from?
         locations (choose) finds the files; configuration (load_config) merges them in order.
-    How does a mistake get its line?
+    How is the line of a fault found?
         base/yaml_source keeps the lines; file_faults (placed) finds them for faults that the daemon reports.
 """

@@ -60,7 +60,7 @@ class Actuator(Model):
         return complex(self.response(np.array([s], np.complex128))[0])
 
     def shares(self) -> tuple[float, float, float]:
-        """Return the integrals of |h|, t |h| and t h over the impulse response h(t), the latter two in s.
+        """Return the integrals of |h|, t |h| and t h over time, h(t) being the impulse response; the last two in s.
 
         The stability analysis uses them. The integral of h is 1.
         """

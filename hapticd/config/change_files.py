@@ -30,14 +30,14 @@ class _ChangeParts(Model):
 
 @dataclass(frozen=True, slots=True)
 class ChangeFiles:
-    """Validated content of the files, None for a missing part. The daemon's faults get file and line."""
+    """Validated materials and scene of the files, None if missing. Faults that the daemon reports get file and line."""
 
     materials: FromFile | None
     scene: FromFile | None
 
 
 def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
-    """Load a change from files, of which a shipped scene may be given by its name.
+    """Load a change from files; a shipped scene may be given by its name.
 
     Whether the scene's materials exist is not checked here: the daemon may have others. Raises InvalidError, which
     names every fault with file and line, and HapticdError for a file that cannot be read.
@@ -64,7 +64,7 @@ def change_of(documents: Sequence[Document]) -> ChangeFiles:
 
 
 def _as_change(document: Document) -> Document:
-    """Return a document with the keys `materials` and `scene`. Raises InvalidError for one of another kind."""
+    """Return a document with the keys `materials` and `scene`. Raises InvalidError for a document of another kind."""
     refuse_other_kinds(document, "change", "scene", "bare scene", "materials", "bare materials")
     kind = kind_of(document.data)
     if kind is None:

@@ -33,11 +33,11 @@ class Overruns(Model):
     """Limit of missed periods, and the reaction to more."""
 
     threshold: float = Field(
-        default=0.1, ge=0.001, le=1, description="Fraction of a second's periods that may be missed; 1: all."
+        default=0.1, ge=0.001, le=1, description="Largest fraction of missed periods in a second; 1: all."
     )
     action: Literal["warn", "step_down", "fault"] = Field(
         default="warn",
-        description="Reaction to more missed periods: an event, half the rate (a fault if impossible), or a fault.",
+        description="Reaction if more periods are missed: an event, half the rate (a fault if impossible), or a fault.",
     )
 
 
@@ -51,9 +51,9 @@ class Servo(Model):
     priority: int = Field(default=80, ge=1, le=99, description="Real-time priority (SCHED_FIFO).")
     realtime: Literal["required", "preferred", "off"] = Field(
         default="preferred",
-        description="Real-time rights: refuse to start without them, ask for them, or do without.",
+        description="Real-time rights: refuse to start without them, request them, or do without.",
     )
-    spin_us: float = Field(default=0.0, ge=0, le=100, description="Busy waiting before each deadline.")
+    spin_us: float = Field(default=0.0, ge=0, le=100, description="Duration of busy waiting before each deadline.")
     clock: Literal["timer", "device"] = Field(
         default="timer", description="What starts a tick: a timer, or the position reports of a HID device."
     )
@@ -115,7 +115,7 @@ class Sim(Model):
 
     @property
     def reports_s(self) -> tuple[float, float]:
-        """Time between position reports (0: one at every tick), and their age when read, in s."""
+        """Time between position reports in s, 0 for a report at every tick, and their age in s when read."""
         if self.link is None:
             return self.report_interval_s, self.report_delay_s
         return 1.0 / self.link.rate_hz, self.link.delay_frames / self.link.rate_hz
@@ -189,7 +189,7 @@ class Device(Model):
     )
     max_force_n: ActuatorForce = Field(default=8.9, description="Maximum magnitude of the commanded force.")
     max_speed_m_per_s: float = Field(
-        default=5.0, ge=0.01, le=1000, description="A faster step between two positions is a glitch."
+        default=5.0, ge=0.01, le=1000, description="A faster step between two positions is treated as a glitch."
     )
     rearm_m: float = Field(
         default=0.0,
@@ -236,7 +236,7 @@ class Device(Model):
 
     @property
     def lag(self) -> Actuator | None:
-        """The actuator's lag; None if it has none or it is not known."""
+        """The actuator's lag; None if the force follows at once or the lag is unknown."""
         return self.sim.actuator if self.actuator is None and self.kind == "sim" else self.actuator
 
     @model_validator(mode="after")
@@ -257,7 +257,7 @@ class Device(Model):
 class FlightRecorder(Model):
     """The flight recorder: the last seconds of telemetry, written to a file on a fault or on request."""
 
-    seconds: float = Field(default=10.0, ge=1, le=60, description="Duration that is kept.")
+    seconds: float = Field(default=10.0, ge=1, le=60, description="Duration of the kept telemetry.")
     directory: str | None = Field(
         default=None,
         min_length=1,
@@ -332,12 +332,12 @@ def default_config() -> Config:
 
 
 def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
-    """Load the configuration of a command: of the files that it names, or of those that locations.choose finds."""
+    """Load the configuration of a command from the files given with -c, or from those that locations.choose finds."""
     return chosen_config(choose(paths))
 
 
 def chosen_config(chosen: ConfigFiles) -> Config:
-    """Load the chosen files as load_config does, or without any the built-in configuration.
+    """Load the chosen files as load_config does; without files return the built-in configuration.
 
     A shipped scene may be given by its name. Raises HapticdError also if the environment names a missing file.
     """
@@ -367,13 +367,13 @@ def config_of_documents(documents: Sequence[Document]) -> Config:
 
 
 def _as_configuration(document: Document) -> Document:
-    """Return a document as a configuration, also for a scene alone. Raises InvalidError for another kind."""
+    """Return a configuration or a bare scene as a configuration. Raises InvalidError for another kind of document."""
     refuse_other_kinds(document, "configuration", "change", "scene", "bare scene", "materials")
     return document.below("scene") if kind_of(document.data) == "bare scene" else document
 
 
 class Merged:
-    """Several documents merged into one, which knows the document of each value."""
+    """Several documents merged into one, with the document that each value comes from."""
 
     def __init__(self) -> None:
         self.data: dict[str, Json] = {}

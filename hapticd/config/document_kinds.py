@@ -29,13 +29,11 @@ Kind: TypeAlias = Literal[
 CONFIGURATION_KEYS: Final = ("servo", "device", "flight")
 """Keys that only a configuration has, in addition to `materials` and `scene`."""
 SCENE_KEYS: Final = ("display", "ramp_s", "passivity", "objects")
-"""Keys of a scene."""
 OBJECT_KINDS: Final = ("wall", "membrane", "box", "disc", "spring", "viscous", "constant")
 """Values of the key `kind` of an object."""
 MATERIAL_KEYS: Final = (
     "stiffness_n_per_m", "damping_n_s_per_m", "tap", "rupture", "friction", "texture", "provenance",
 )  # fmt: skip
-"""Keys of a material."""
 
 _COMMAND_OF_KIND: Final[dict[Kind, tuple[str, str]]] = {
     "configuration": ("a configuration", "run -c"),
@@ -58,7 +56,7 @@ KEYS_OF_KIND: Final[dict[Kind, tuple[str, ...]]] = {
     "study": ("experiment", "factors", "trial", "questions"),
     "sweep": ("vary", "measure", "refine"),
 }
-"""Keys of which one shows the kind of a document."""
+"""Keys by kind. A document with any of these keys is of this kind."""
 KINDS_WITH_PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
     "objects": ("scene", "bare scene", "objects"),
     "materials": ("materials", "bare materials"),
@@ -67,7 +65,7 @@ KINDS_WITH_PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
 
 
 def kind_of(data: Json) -> Kind | None:
-    """Return the kind of a document by its keys, or None if they do not show it."""
+    """Return the kind of a document by its keys, or None if it cannot be recognized."""
     if not isinstance(data, dict) or not data:
         return None
     inner = [value for key, value in data.items() if value is not None or key in SCENE_KEYS]
@@ -90,7 +88,7 @@ def kind_of(data: Json) -> Kind | None:
 
 
 def refuse_other_kinds(document: Document, *taken: Kind) -> None:
-    """Raise InvalidError if a document is of a kind that only another command reads.
+    """Raise InvalidError if a document is of a known kind other than `taken`.
 
     A document of unknown kind is accepted; its reader checks the keys.
     """

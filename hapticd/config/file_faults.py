@@ -1,4 +1,4 @@
-"""Values that were read from a file and sent to the daemon: its faults get file, line and column."""
+"""Finds file, line and column of faults that the daemon reports in values read from files."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ class Source(Protocol):
 
 
 class FromFile(dict[str, object]):
-    """A value of params, or all params, that was read at `root` of a document."""
+    """Params of a method, or one of their values, read from a document at the path `root`."""
 
     def __init__(self, value: Mapping[str, object], document: Source, root: Path = ()) -> None:
         super().__init__(value)
         self._document, self._root = document, root
 
     def place(self, path: Path) -> str:
-        """Return the place of a part of the value in the file."""
+        """Return `FILE:LINE:COLUMN: KEY` of the member at `path` of the value."""
         return self._document.where((*self._root, *path))
 
 
 def placed(where: str, params: Mapping[str, object]) -> str:
-    """Return a place inside params as its place in the file that it was read from, or unchanged without a file."""
+    """Convert a path in params to the place in the file that the value was read from; without a file return it."""
     path = path_of_text(where)
     if isinstance(params, FromFile):
         return params.place(path)

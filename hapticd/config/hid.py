@@ -74,7 +74,7 @@ class VendorBits(Model):
     """Place and format of a number in a report."""
 
     bit_offset: int = Field(ge=0, le=8 * MAX_REPORT_BYTES - 1, description="First bit, counted after the report id.")
-    bit_size: int = Field(ge=1, le=32, description="Bits of the number.")
+    bit_size: int = Field(ge=1, le=32, description="Number of bits.")
     signed: bool = Field(default=True, description="Whether it is a number in two's complement.")
     byte_order: Literal["little", "big"] = Field(
         default="little", description="Byte order; `big` needs offset and size in multiples of 8 bits."
@@ -114,7 +114,7 @@ class VendorOutputAxis(VendorBits):
     """A force in an output report."""
 
     counts_per_n: Scale = Field(description="Counts per newton; negative if the device pushes in the other direction.")
-    zero_counts: float = Field(default=0.0, ge=-4294967296, le=4294967296, description="Counts of no force.")
+    zero_counts: float = Field(default=0.0, ge=-4294967296, le=4294967296, description="Counts at zero force.")
 
     @model_validator(mode="after")
     def _scaled(self) -> Self:
@@ -137,7 +137,7 @@ def _refuse_overlap(x: VendorBits, y: VendorBits) -> None:
 class VendorInput(Model):
     """The input report that holds positions."""
 
-    report_id: ReportId = Field(default=0, description="Its id; 0 if reports are not numbered.")
+    report_id: ReportId = Field(default=0, description="Id of the report; 0 if reports are not numbered.")
     x: VendorInputAxis = Field(description="To the right.")
     y: VendorInputAxis | None = Field(default=None, description="Away from the user; null: none.")
 
@@ -151,8 +151,8 @@ class VendorInput(Model):
 class VendorOutput(Model):
     """The output report that holds forces."""
 
-    report_id: ReportId = Field(default=0, description="Its id; 0 if reports are not numbered.")
-    length: int = Field(ge=1, le=MAX_REPORT_BYTES, description="Its size in bytes, without the id.")
+    report_id: ReportId = Field(default=0, description="Id of the report; 0 if reports are not numbered.")
+    length: int = Field(ge=1, le=MAX_REPORT_BYTES, description="Size of the report in bytes, without the id.")
     x: VendorOutputAxis = Field(description="To the right.")
     y: VendorOutputAxis | None = Field(default=None, description="Away from the user; null: none.")
 
@@ -196,14 +196,14 @@ class Hid(Model):
     """A HID joystick with force feedback."""
 
     vendor: Annotated[int, Field(ge=0, le=0xFFFF)] | None = Field(
-        default=None, description="Its vendor id; null: any. This and the next three keys select a device."
+        default=None, description="Vendor id of the device; null: any. This and the next three keys select a device."
     )
-    product: Annotated[int, Field(ge=0, le=0xFFFF)] | None = Field(default=None, description="Its product id.")
+    product: Annotated[int, Field(ge=0, le=0xFFFF)] | None = Field(default=None, description="Product id; null: any.")
     serial: Annotated[str, Field(min_length=1, max_length=256)] | None = Field(
-        default=None, description="Its serial number."
+        default=None, description="Serial number; null: any."
     )
     path: Annotated[str, Field(min_length=1, max_length=256)] | None = Field(
-        default=None, description="Its device node, such as /dev/hidraw3."
+        default=None, description="Device node, such as /dev/hidraw3; null: any."
     )
     travel_m: float = Field(
         default=0.05, ge=0.001, le=10, description="Half the handle's travel, from the middle to the end of its range."
@@ -223,7 +223,8 @@ class Hid(Model):
     )
     renew_s: float = Field(default=0.04, ge=0.005, le=5, description="Interval at which effects are started again.")
     max_rate_hz: Annotated[float, Field(ge=10, le=10000)] | None = Field(
-        default=None, description="Maximum number of forces per second, of any number of reports; null: the link's."
+        default=None,
+        description="Maximum number of forces per second, each in one or more reports; null: that of the link.",
     )
     offload: Literal["off", "auto"] = Field(
         default="off",
@@ -233,7 +234,7 @@ class Hid(Model):
         default=(), description="Deviations of this device from the specification."
     )
     report: VendorReport | None = Field(
-        default=None, description="Report formats of a device that is not of the PID class; null: it is."
+        default=None, description="Report formats of a device that is not of the PID class; null for a PID device."
     )
 
     @model_validator(mode="before")
@@ -246,7 +247,7 @@ class Hid(Model):
 
     @property
     def names_one(self) -> bool:
-        """Whether a key selects a device; else any is used."""
+        """Whether a key selects a device; otherwise any device is used."""
         return any(key is not None for key in (self.vendor, self.product, self.serial, self.path))
 
     @model_validator(mode="after")
@@ -267,5 +268,7 @@ class Replay(Model):
     """A recording of a device (`hapticd devices dump`), which is replayed in place of the device."""
 
     path: Annotated[str, Field(min_length=1, max_length=4096)] = Field(description="The recording.")
-    loop: bool = Field(default=False, description="Start again at its end; otherwise the device is lost then.")
+    loop: bool = Field(
+        default=False, description="Start again at the end of the recording; otherwise the device is lost there."
+    )
     speed: float = Field(default=1.0, ge=0.01, le=100, description="Speed of the replay, relative to the recording.")

@@ -1,8 +1,7 @@
 """Files of the configuration.
 
-Searched in this order: the files that a command names (`-c`), those of `$HAPTICD_CONFIG` (several are separated by
-colons), the user's, the system's; without any, the built-in configuration. Only the first that exists is used. A file
-that exists but is unreadable is an error.
+They are the first of: the files given with `-c`; those in `$HAPTICD_CONFIG`, separated by colons; the user's file and
+the system's file, if they exist; the built-in configuration. A file that exists but is unreadable is an error.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import printable
 
 CONFIG_VARIABLE: Final = "HAPTICD_CONFIG"
-"""Environment variable that names files of the configuration."""
+"""Environment variable with the files of the configuration."""
 SYSTEM_CONFIG: Final = Path("/etc/hapticd/config.yaml")
 """The system's configuration."""
 
@@ -31,7 +30,7 @@ class ConfigFiles:
     origin: Origin
     files: tuple[str, ...]
     missing: tuple[str, ...]
-    """Files that were searched before and do not exist."""
+    """Files earlier in the search order, which do not exist."""
 
     def __str__(self) -> str:
         named = ", ".join(printable(os.path.abspath(file)) for file in self.files)

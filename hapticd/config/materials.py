@@ -1,8 +1,4 @@
-"""Materials: what a surface is made of, and the library that ships with hapticd.
-
-A ringing mode is Q(t) = A exp(-B t) sin(w t) (Okamura, Dennerlein and Howe, "Vibration Feedback Models for
-Virtual Environments", ICRA 1998, eq. 1 and 3), B the decay rate in 1/s, w the angular frequency in rad/s.
-"""
+"""Materials, and the library that ships with hapticd. modes.py defines the ringing mode Q(t)."""
 
 import datetime
 import math
@@ -52,7 +48,7 @@ MAX_MATERIALS: Final = 1000
 LIBRARY_FOLDER: Final = "materials"
 """Folder of the shipped materials, below `config/`."""
 _FIRST_LIBRARY_FILE: Final = "okamura1998.yaml"
-"""The paper's materials come first in the library."""
+"""First file of the library: the materials of Okamura et al."""
 MAX_TAP_POINTS: Final = 256
 """Maximum number of `tap.amplitudes`: the core's HD_TAP_POINTS."""
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
@@ -89,7 +85,7 @@ Interval: TypeAlias = Annotated[
     Strict(False),
     AfterValidator(_rising),
 ]
-"""[low, high] in the unit of the figure."""
+"""[low, high] in the unit of the fitted value."""
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\u0000-\u001f\u007f]+$")]
 
 
@@ -168,7 +164,7 @@ class Tap(AimedKeys):
 
     @property
     def mode(self) -> Mode:
-        """The mode; of a mode table, the one in the middle of its speeds."""
+        """The mode; for a mode table, its mode in the middle of the speeds."""
         return super().mode if self.mode_table is None else self.mode_table.middle
 
     def mode_at(self, speed_m_per_s: float) -> Mode:
@@ -177,7 +173,7 @@ class Tap(AimedKeys):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """The mode; of a mode table those of its lowest and highest frequency; empty for a waveform."""
+        """The mode; for a mode table its modes of lowest and highest frequency; empty for a waveform."""
         if self.waveform is not None:
             return ()
         return (self.mode,) if self.mode_table is None else self.mode_table.bounds
@@ -193,7 +189,7 @@ class Tap(AimedKeys):
         return None if self.mode_table is not None else self.ringing
 
     def coefficient(self, amplitude: float) -> float:
-        """Return the A of the mode's or the waveform's equation for an amplitude with the meaning of `attack`."""
+        """Return A of the mode's or the waveform's equation for an amplitude as defined by `attack`."""
         return (self.waveform or self.mode).coefficient(amplitude, self.attack)
 
     def cross_faults(self) -> list[str]:
@@ -281,10 +277,11 @@ class ProvenanceFile(Model):
     """A recording that a material was fitted to."""
 
     path: Annotated[str, StringConstraints(min_length=1, max_length=4096)] = Field(
-        description="Its path at the time of the fit."
+        description="Path of the recording at the time of the fit."
     )
     sha256: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")] | None = Field(
-        default=None, description="Hash of its bytes, in hex digits; left out for data that was not read from a file."
+        default=None,
+        description="Hash of the file's bytes, in hex digits; left out for data that was not read from a file.",
     )
 
 
@@ -297,11 +294,11 @@ class FitVerdict(Model):
         Strict(False),
         Field(max_length=MAX_REASONS),
         at_most(MAX_REASONS),
-    ] = Field(default=(), description="Reasons why it is not good.")
+    ] = Field(default=(), description="Reasons why the quality is not good.")
 
 
 class Provenance(Model):
-    """Origin of a material's figures. It has no influence on forces."""
+    """Origin of a material's values. It has no influence on forces."""
 
     files: Annotated[tuple[ProvenanceFile, ...], Strict(False), at_most(MAX_PROVENANCE_FILES)] = Field(
         min_length=1, max_length=MAX_PROVENANCE_FILES, description="The recordings."
@@ -311,13 +308,14 @@ class Provenance(Model):
     )
     version: Annotated[str, StringConstraints(min_length=1, max_length=64)] = Field(description="Version of hapticd.")
     intervals: Annotated[dict[Words, Interval], Field(max_length=256)] | None = Field(
-        default=None, description="95 % intervals, [low, high], by the name of the figure."
+        default=None, description="95 % intervals, [low, high], by the name of the fitted value."
     )
     verdict: Annotated[dict[Words, FitVerdict], Field(max_length=16)] | None = Field(
         default=None, description="Verdict of each fit, by its kind: tap, grooves, texture, puncture."
     )
     choices: Annotated[dict[Words, Reason], Field(max_length=64)] | None = Field(
-        default=None, description="The model that was chosen among several, and why, by the name of the figure."
+        default=None,
+        description="Model that was chosen among several, and the reason, by the name of the fitted value.",
     )
 
 
@@ -342,7 +340,7 @@ class Material(Model):
     texture: Texture | None = Field(
         default=None, description="Texture under a stroke; without it the surface is smooth."
     )
-    provenance: Provenance | None = Field(default=None, description="Origin of the figures of a fitted material.")
+    provenance: Provenance | None = Field(default=None, description="Origin of the values of a fitted material.")
 
     @field_validator("texture", mode="after")
     @classmethod
@@ -368,7 +366,8 @@ class Material(Model):
     def groove_modes(self) -> tuple[Mode, ...]:
         """Modes of grooves that are displayed as vibration; empty for another texture.
 
-        They are the texture's mode, of a frequency table those of the lowest and highest frequency, or the tap's mode.
+        They are the texture's mode, for a frequency table its modes of lowest and highest frequency, or without both
+        the tap's mode.
         """
         if not isinstance(self.texture, Grooves) or self.texture.display != "vibration":
             return ()
@@ -384,7 +383,7 @@ class Material(Model):
         return next(iter(self.groove_modes), None)
 
     def groove_mode_at(self, speed_m_per_s: float, force_n: float) -> Mode | None:
-        """Return the mode of a groove that is passed with this tangential speed and normal force."""
+        """Return the mode of a groove that is crossed at this tangential speed and normal force."""
         mode = self.groove_mode
         if mode is None or not isinstance(self.texture, Grooves) or self.texture.frequency_table is None:
             return mode
@@ -424,7 +423,7 @@ def _parsed(data: object, root: Path) -> dict[str, Material]:
 def shipped_materials() -> Materials:
     """Load the shipped library, every file of `config/materials`, the paper's materials first.
 
-    Raises InvalidError for a fault, and for a name that two files define.
+    Raises InvalidError for a fault, and for a material that two files define.
     """
     library: dict[str, Material] = {}
     for name in library_files():

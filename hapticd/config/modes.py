@@ -57,22 +57,22 @@ class Mode:
         return math.exp(-self.decay_rate_per_s * time_s) * math.sin(self.angular_frequency_rad_per_s * time_s)
 
     def coefficient(self, amplitude: float, attack: Attack) -> float:
-        """Return the A of eq. 1 for an amplitude that is A itself, or the largest value of the first cycle."""
+        """Return A of eq. 1 for an amplitude that, depending on `attack`, is A or the maximum of the first cycle."""
         return amplitude if attack == "coefficient" else amplitude / self.peak
 
 
 def given(*names: str) -> JsonDict:
-    """Return the JSON Schema of keys that must all have a value other than null."""
+    """Return the JSON Schema that requires all these keys, with a value other than null."""
     return {"required": [*names], "properties": {name: {"not": {"type": "null"}} for name in names}}
 
 
 def absent(*names: str) -> JsonDict:
-    """Return the JSON Schema of keys that must be left out or null."""
+    """Return the JSON Schema that requires all these keys to be absent or null."""
     return {"properties": {name: {"type": "null"} for name in names}}
 
 
 def one_of(*names: str) -> JsonDict:
-    """Return the JSON Schema of exactly one of these keys; a name `a b` stands for both keys together."""
+    """Return the JSON Schema that requires exactly one of these keys; `a b` stands for both keys together."""
     alternatives = [name.split() for name in names]
     return {
         "oneOf": [
@@ -118,7 +118,7 @@ class ModeKeys(CheckedTogether):
 
     @property
     def mode(self) -> Mode:
-        """The mode that the keys give."""
+        """The mode with the parameters of these keys."""
         if self.decay_rate_per_s is not None:
             decay_rate_per_s = self.decay_rate_per_s
         else:
@@ -168,7 +168,7 @@ MIN_TABLE_STEP: Final = 1e-6
 
 
 def rising_faults(key: str, points: Sequence[float]) -> Iterator[str]:
-    """Yield the fault of the first point that is not above its predecessor by MIN_TABLE_STEP; `key` names the list."""
+    """Yield the fault of the first point less than MIN_TABLE_STEP above its predecessor; `key` is that of the list."""
     for index, (before, point) in enumerate(pairwise(points)):
         if point < before + MIN_TABLE_STEP:
             least = f"{MIN_TABLE_STEP:g} above the one before, {before:.15g}"
@@ -177,7 +177,7 @@ def rising_faults(key: str, points: Sequence[float]) -> Iterator[str]:
 
 
 def around(points: Sequence[float], value: float) -> tuple[int, int, float]:
-    """Return the indices of the two points around a value, and its place between them, 0 to 1.
+    """Return the indices of the two points around a value, and its relative position between them, 0 to 1.
 
     Outside the range of the points both indices are those of the nearest point.
     """

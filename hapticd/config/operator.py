@@ -9,8 +9,8 @@ An operator is exactly one of
 
 `at_m`, `from_m` and `to_m` are coordinates along the tangent t = (n_y, -n_x). Their origin is the wall's point, the
 membrane's centre, the middle of the box's upper face, or the disc's top. On a membrane and a box they must not exceed
-its ends. A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. `gesture_waypoints` makes straight lines of a
-gesture, and depends only on the object, the hand and the hand's position.
+its ends. A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. `gesture_waypoints` converts a gesture to straight
+lines, which depend only on the object, the hand and the hand's position.
 """
 
 import cmath
@@ -56,16 +56,15 @@ MAX_CSV_BYTES: Final = 16 * 1024 * 1024
 TRAVEL_SPEED_M_PER_S: Final = 0.15
 """Speed of the hand on its way to the beginning of a gesture, and when it withdraws."""
 LOWERING_SPEED_M_PER_S: Final = 0.02
-"""Speed at which a stroke is lowered onto the surface; its tap cannot be felt."""
+"""Speed at which the hand is lowered for a stroke; a tap at this speed cannot be felt."""
 PRESS_TIME_S: Final = 0.15
 """Time for which a tap presses and a puncture stays inside; all modes of the library have decayed by then."""
 SPEED_TOLERANCE: Final = 0.01
 """Maximum relative deviation of the handle's speed from the commanded speed at contact."""
 CLEARANCE_HEIGHT_M: Final = 0.005
-"""Height from which a stroke is lowered, and addition to the height of other gestures."""
+"""Height from which the hand is lowered for a stroke; margin of other heights and of a puncture's depth."""
 
 _CSV_COLUMNS: Final = ("t_s", "x_m", "y_m")
-"""Header of a CSV file."""
 
 Speed: TypeAlias = Annotated[float, Field(ge=0.001, le=2)]
 Count: TypeAlias = Annotated[int, Field(ge=1, le=1000)]
@@ -74,14 +73,14 @@ Height: TypeAlias = Annotated[float, Field(ge=0.001, le=1)]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Surface of a gesture: the point of the coordinate 0, and the unit normal there."""
+    """Surface of a gesture: the origin of its tangential coordinate, and the unit normal there."""
 
     point_m: Point
     normal: Point
     stiffness_n_per_m: float
     rupture_depth_m: float | None
     half_m: float = math.inf
-    """Half the surface's length; its point is in the middle."""
+    """Half the surface's length; the origin is in its middle."""
     face: str = "surface"
     """Name of the surface in messages."""
 
@@ -253,7 +252,7 @@ def parse_operator(data: Mapping[str, object]) -> Operator:
 def load_operator(path: str | os.PathLike[str]) -> Operator:
     """Load an operator from a file: CSV or JSON by its ending, YAML otherwise.
 
-    A CSV file has the columns t_s,x_m,y_m, with or without a header line; waypoints are joined by straight lines.
+    A CSV file may have a header line; its waypoints are joined by straight lines.
     Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be
     read.
     """
@@ -276,7 +275,7 @@ def gesture_waypoints(
     """Return the waypoints of a gesture, rows [t_s, x_m, y_m], shape (n, 3).
 
     The first row has t > 0. From `reference_m` the hand first moves out along the normal, if it is below the gesture's
-    height, then to the beginning of the gesture, and comes to rest. Raises InvalidError.
+    height, then to the beginning of the gesture, where it stops. Raises InvalidError.
     """
     if grip.stiffness_n_per_m <= 0:
         problem = "needs a hand that holds the handle: device.sim.hand.stiffness_n_per_m above 0"
@@ -312,7 +311,7 @@ class _Path:
         self._at, self._height = x * n_y - y * n_x, x * n_x + y * n_y
 
     def go(self, at: float, height: float, speed: float) -> None:
-        """Move in a straight line at a speed."""
+        """Move in a straight line to `at` and `height`."""
         distance = math.hypot(at - self._at, height - self._height)
         self._at, self._height = at, height
         if distance >= 2 * MIN_STEP_S * speed:
@@ -356,8 +355,8 @@ def _tap(gesture: TapGesture, target: Target, grip: Grip, path: _Path) -> None:
         # v sqrt(M/(K + k)). At a rest depth of that amplitude, with half an oscillation damped to 0.7, the handle stays
         # in contact.
         stiffness = target.stiffness_n_per_m + grip.stiffness_n_per_m
-        swing = speed * math.sqrt(grip.moving_mass_kg / stiffness)
-        depth = 0.002 + swing * stiffness / grip.stiffness_n_per_m
+        overshoot = speed * math.sqrt(grip.moving_mass_kg / stiffness)
+        depth = 0.002 + overshoot * stiffness / grip.stiffness_n_per_m
     for _ in range(gesture.count):
         path.press(at, height, depth, speed, grip.settling_s)
 
@@ -436,7 +435,7 @@ def _csv_document(name: str) -> Document:
 
 
 def _number(cell: str) -> float | str:
-    """Return the number in a cell, or the cell itself if it holds none."""
+    """Return a cell as a number, or unchanged if it is not a number."""
     try:
         return cell if "_" in cell else float(cell)
     except ValueError:

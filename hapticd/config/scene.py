@@ -44,7 +44,7 @@ TOUCHING_DISTANCE_M: Final = 1e-9
 _ROUNDING_OF_WIDTHS: Final = 1e-6
 """Relative tolerance of MIN_PATCH_M for rounding."""
 _MAX_SHOWN_OVERLAPS: Final = 5
-"""Overlaps that a message lists; the others are counted."""
+"""Largest number of overlaps that a message lists; the others are counted."""
 MIN_NORMAL_LENGTH = 1e-9
 """Minimum length of a normal before normalization."""
 MAX_NORMAL_COMPONENT = 1e9
@@ -75,7 +75,7 @@ PatchEdge: TypeAlias = Annotated[float, Field(ge=-20, le=20)]
 
 
 class Patch(Model):
-    """A stretch of a wall with another material."""
+    """A section of a wall with another material."""
 
     from_m: PatchEdge = Field(
         description="Beginning of the patch: distance from the wall's point along (n_y, -n_x), on a floor to the right."
@@ -132,15 +132,15 @@ class Wall(Model):
     point_m: Position = Field(description="A point of the surface, [x, y].")
     normal: Normal = Field(description="Direction out of the solid, [x, y]; kept as a unit vector.")
     material: Name = Field(description="Name of a material.")
-    patches: Patches = Field(default=(), description="Stretches of other materials, which do not overlap.")
+    patches: Patches = Field(default=(), description="Sections with other materials, which do not overlap.")
     patch_ramp_m: float = Field(
         default=0.001, ge=1e-5, le=1, description="Width of the blend between two materials, centred on their edge."
     )
 
-    def stretches(self) -> tuple[list[float], list[str]]:
-        """Return the begin and the material of each stretch of the wall, in rising order.
+    def sections(self) -> tuple[list[float], list[str]]:
+        """Return the start coordinates and the materials of all sections of the wall, in rising order.
 
-        Stretches are the patches and the base material between them. The first begins at -inf, the last has no end.
+        Sections are the patches and the base material between them. The first begins at -inf, the last has no end.
         """
         begins, materials = [-math.inf], [self.material]
         for index in patches_in_order(self.patches):
@@ -157,8 +157,8 @@ class Box(Model):
     """A solid rectangle."""
 
     kind: Literal["box"]
-    center_m: Position = Field(description="Its middle, [x, y].")
-    size_m: Size = Field(description="Its sides, [width, height].")
+    center_m: Position = Field(description="Centre, [x, y].")
+    size_m: Size = Field(description="Lengths of the sides, [width, height].")
     angle_rad: float = Field(default=0.0, ge=-1000, le=1000, description="Angle of rotation, counterclockwise.")
     material: Name = Field(description="Name of a material.")
 
@@ -167,11 +167,11 @@ class Disc(Model):
     """A solid disc."""
 
     kind: Literal["disc"]
-    center_m: Position = Field(description="Its middle, [x, y].")
+    center_m: Position = Field(description="Centre, [x, y].")
     radius_m: float = Field(
         ge=1e-4,
         le=10,
-        description="Its radius R. A force above stiffness times R pushes the probe through to the other side.",
+        description="Radius R. A force above stiffness times R pushes the probe through to the other side.",
     )
     material: Name = Field(description="Name of a material.")
 
@@ -180,9 +180,9 @@ class Membrane(Model):
     """A straight elastic membrane that can be pushed from both sides and, with `rupture`, punctured."""
 
     kind: Literal["membrane"]
-    center_m: Position = Field(description="Its middle, [x, y].")
+    center_m: Position = Field(description="Centre, [x, y].")
     normal: Normal = Field(description="Direction across the membrane, [x, y]; kept as a unit vector.")
-    width_m: float = Field(ge=1e-4, le=20, description="Its length.")
+    width_m: float = Field(ge=1e-4, le=20, description="Length of the membrane.")
     material: Name = Field(description="Name of a material; without `rupture` the membrane never breaks.")
 
 
@@ -216,11 +216,11 @@ SceneObject: TypeAlias = Surface | Spring | Viscous | Constant
 SURFACE_MODELS: Final = (Wall, Membrane, Box, Disc)
 """Models of the objects that can be touched."""
 SURFACE_KINDS: Final = tuple(tag for kind in SURFACE_MODELS for tag in get_args(kind.model_fields["kind"].annotation))
-"""Their values of the key `kind`."""
+"""Values of `kind` of objects that can be touched."""
 
 
 def materials_of(item: SceneObject) -> tuple[str, ...]:
-    """Return the names of an object's materials, first its own, then its patches'; empty for a field."""
+    """Return the names of an object's materials: its base material, then those of its patches; () for a field."""
     # Compared by kind, since isinstance of a pydantic model is slow when it is false.
     if item.kind == "wall" and item.patches:
         return (item.material, *(patch.material for patch in item.patches))
@@ -235,7 +235,7 @@ def material_names(item: SceneObject) -> Collection[str]:
 
 
 def same_materials(one: SceneObject | None, other: SceneObject) -> bool:
-    """Return whether two objects have the same materials in the same places."""
+    """Return whether two objects have the same materials at the same positions."""
     if one is None or one.kind != other.kind:
         return False
     if one.kind == "wall":
@@ -266,7 +266,7 @@ def used_materials(objects: Iterable[SceneObject]) -> set[str]:
 
 
 def of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:
-    """Return the fewest objects with all materials: those with patches, and the first of each material."""
+    """Return few objects that use all materials: those with several, and the first one of each other material."""
     found: dict[str, SceneObject] = {}
     seen: set[str] = set()
     for id, item in objects.items():
@@ -362,7 +362,7 @@ def load_scene(source: SceneSource) -> Scene:
 
 
 def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[Scene, Document, Path]:
-    """Load a scene as load_scene does, and return its document and its path in it too."""
+    """Load a scene as load_scene does; return it, its document, and its path in the document."""
     document = Document(plain(source)) if isinstance(source, Mapping) else load_path(arguments.path("scene", source))
     refuse_other_kinds(document, "scene", "bare scene")
     data = document.data

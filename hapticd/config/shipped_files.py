@@ -1,6 +1,6 @@
 """Scenes, operators, materials, studies and sweeps that ship with hapticd, found by name.
 
-Their names have neither folder nor ending: `comb`. A file of that name in the current folder is used instead.
+Their names have neither folder nor suffix: `comb`. A file of that name in the current folder takes precedence.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from hapticd.base.yaml_source import printable
 Folder: TypeAlias = Literal["scenes", "operators", "materials", "experiments", "sweeps"]
 
 _SHIPPED_SUFFIXES: Final = (".yaml", ".csv")
-"""Endings of shipped files."""
 _MAX_SUGGESTIONS: Final = 3
-"""Similar names that an error suggests."""
+"""Largest number of similar names that an error suggests."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,7 +65,7 @@ _KEYS_OF: Final[dict[Display, tuple[str, ...]]] = {
 
 
 def _displayed(display: Display) -> JsonDict:
-    """Return the JSON Schema of a display: its required keys, and none of the other displays."""
+    """Return the JSON Schema of a display: it requires its keys, and forbids those of other displays."""
     others = (key for other, keys in _KEYS_OF.items() if other != display for key in keys)
     rules: list[JsonValue] = [absent(*others)]
     if display == "vibration":
@@ -136,7 +136,7 @@ class FrequencyTable(CheckedTogether):
         return min(every), max(every)
 
     def at(self, speed_m_per_s: float, force_n: float) -> float:
-        """Return the frequency in Hz by bilinear interpolation; outside the table, that of its nearest edge."""
+        """Return the frequency in Hz by bilinear interpolation; outside the table, that at the nearest edge."""
         i, j, speed_share = around(self.speeds_m_per_s, abs(speed_m_per_s))
         k, m, force_share = around(self.forces_n, force_n)
         slower, faster = self.frequencies_hz[i], self.frequencies_hz[j]
@@ -186,7 +186,7 @@ class Grooves(CheckedTogether):
 
     @property
     def own_modes(self) -> tuple[Mode, ...]:
-        """Mode of the texture's strikes; of a frequency table those of the lowest and highest frequency.
+        """Mode of the texture's strikes; for a frequency table its modes of lowest and highest frequency.
 
         Empty if the texture has no mode.
         """
@@ -290,7 +290,7 @@ class AutoregressiveModel(CheckedTogether):
     )
 
     def level(self, reflection: Sequence[float]) -> float:
-        """Return the RMS of x in m/s^2: the given one, or sqrt(variance / prod(1 - k^2)) of the reflection k."""
+        """Return the RMS of x in m/s^2: the given one, or sqrt(variance / prod(1 - k^2)), k the `reflection`."""
         if self.rms_m_per_s2 is not None:
             return self.rms_m_per_s2
         assert self.variance_m2_per_s4 is not None

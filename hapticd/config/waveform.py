@@ -27,7 +27,7 @@ MIN_WAVEFORM_SAMPLES: Final = 3
 MAX_WAVEFORM_LENGTH_S: Final = 0.1
 """Maximum length of a waveform."""
 _SPECTRUM_OVERSAMPLING: Final = 8
-"""Points per sample from which the spectrum is computed; above that rate the curve has hardly any energy."""
+"""Points of the curve per sample for the spectrum; above half their rate the curve has hardly any energy."""
 
 Sample = Annotated[float, Field(ge=-1e5, le=1e5)]
 
@@ -68,7 +68,7 @@ class Waveform(CheckedTogether):
         return _curve(self.samples, self.rate_hz)
 
     def coefficient(self, amplitude: float, attack: Attack) -> float:
-        """Return the A of Q(t) = A s(t) for an amplitude that is A itself, or the largest magnitude of Q."""
+        """Return A of Q(t) = A s(t) for an amplitude that, depending on `attack`, is A or the maximum of |Q|."""
         return amplitude if attack == "coefficient" else amplitude / self.curve.peak
 
 
@@ -98,7 +98,7 @@ class Curve:
 
     @cached_property
     def _peaks(self) -> tuple[Floats, Floats]:
-        """Largest magnitude of each cubic, and its place between the two samples, 0 to 1."""
+        """Largest magnitude of each cubic, and its relative position between the two samples, 0 to 1."""
         places = np.zeros((4, len(self._begin)))
         places[1] = 1.0
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -139,9 +139,9 @@ class Curve:
         return known[1]
 
     def peaks_from(self, parts: int) -> Floats:
-        """Return an upper bound of the magnitude from the beginning of each of `parts` equal parts on, shape (parts,).
+        """Return an upper bound of the magnitude after the start of each of `parts` equal parts, shape (parts,).
 
-        A cubic in which a part begins counts completely.
+        A cubic in which a part starts is included completely.
         """
         values = self._peaks[0]
         later_peaks = np.maximum.accumulate(values[::-1])[::-1]
@@ -149,7 +149,7 @@ class Curve:
         return np.asarray(later_peaks[first], dtype=np.float64)
 
     def numbers(self) -> Floats:
-        """Return the numbers of the core's table: the samples, then the peaks of HD_WAVE_PARTS parts."""
+        """Return the values in the core's table: the samples, then the peaks of HD_WAVE_PARTS parts."""
         return np.concatenate((self._begin, [0.0], self.peaks_from(WAVEFORM_PARTS)))
 
 

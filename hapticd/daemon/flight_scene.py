@@ -17,13 +17,13 @@ from hapticd.config.materials import Material, Materials
 from hapticd.config.scene import Scene, SceneObject
 from hapticd.protocol.changes import (
     MAX_FLIGHT_OBJECTS,
-    MAX_FLIGHT_PIECES,
+    MAX_FLIGHT_PARTS,
     Change,
     Played,
     Reset,
     Revised,
     change_map,
-    pieces,
+    part_count,
 )
 
 MAX_KEPT_CHANGES: Final = 4000
@@ -40,7 +40,7 @@ class _Base(NamedTuple):
     def is_too_large(self) -> bool:
         """Return whether the scene exceeds the limits of a file."""
         everything = chain(self.objects.values(), self.materials.values())
-        return len(self.objects) > MAX_FLIGHT_OBJECTS or sum(map(pieces, everything)) > MAX_FLIGHT_PIECES
+        return len(self.objects) > MAX_FLIGHT_OBJECTS or sum(map(part_count, everything)) > MAX_FLIGHT_PARTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +98,11 @@ class FlightScene:
     def take(self, change: Change) -> None:
         """Add a change that a command made."""
         if isinstance(change, Revised):
-            if change.whole is not None:
+            if change.complete is not None:
                 # The change has a complete scene, which replaces everything before it.
                 while self._changes:
                     self._drop()
-                self._base, self._lost = _base_of(*change.whole), False
+                self._base, self._lost = _base_of(*change.complete), False
                 self._revision = self.newest = change.revision
                 return
             if change.revision != (self.newest + 1) & 0xFFFFFFFF:
@@ -155,7 +155,7 @@ def _weight(change: Change) -> int:
         case Reset(_, objects):
             return 1 + len(objects or ())
         case Revised():
-            return 1 + sum(map(pieces, chain(change.objects.values(), change.materials.values())))
+            return 1 + sum(map(part_count, chain(change.objects.values(), change.materials.values())))
 
 
 def _is_over(change: Change, tick: int, revision: int) -> bool:

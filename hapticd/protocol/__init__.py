@@ -10,8 +10,8 @@ Encoding:
 Contents:
 
     results                  types of the results of methods, and of telemetry
-    validation               objects and materials in a message, validated with every fault at its place
-    displayability_warnings  warnings of objects and materials that cannot be displayed as written
+    validation               validates objects and materials in a message; reports all faults with their paths
+    displayability_warnings  warnings of objects and materials that are not displayed as written
     events                   events as maps with named members
     changes                  changes by commands, as the topic `change` publishes them
     marks                    texts and data of marks that the servo has not yet returned
@@ -22,10 +22,10 @@ Connection:
 
 Questions, and where to begin:
 
-    What does a method take and answer?
+    What are the parameters and the result of a method?
         docs/protocol.md; parameters are in daemon/params, results in results.
     Where does an error get its code?
         messages (Code) has the codes; daemon/methods chooses one; calls (RemoteError) raises it in a client.
-    How does a method get its parameters checked?
-        daemon/methods (call) by daemon/params; scenes and materials by validation.
+    Where are parameters validated?
+        In daemon/methods (call) by the models of daemon/params; scenes and materials in validation.
 """

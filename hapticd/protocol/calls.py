@@ -87,7 +87,7 @@ def encode_request(id: int, method: str, params: Mapping[str, object] | None) ->
 def result_of(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
     """Return the result of a call, or raise its error.
 
-    Faults and warnings of params that were read from a file get their places in that file.
+    Faults and warnings of params that were read from a file are reported with their lines in that file.
     """
     if isinstance(result, DaemonNotRunning):
         raise result

@@ -15,13 +15,13 @@ from hapticd.config.scene import Scene, SceneObject, Wall
 from hapticd.config.texture import Autoregressive
 
 MAX_LISTED_CHANGES: Final = 1000
-"""Largest number of objects, and of materials, that a change lists. For more a client has to request the scene."""
+"""Largest number of objects, and of materials, that a change lists. If more change, clients request the scene."""
 MAX_FLIGHT_OBJECTS: Final = 2000
 """Largest number of objects of a scene in a flight file: encoding a larger scene would delay commands."""
-MAX_FLIGHT_PIECES: Final = 4000
-"""Largest number of `pieces` of a scene in a flight file: more would take tens of megabytes."""
-MAX_CHANGE_PIECES: Final = 4000
-"""Largest number of `pieces` of the objects and materials that a change lists."""
+MAX_FLIGHT_PARTS: Final = 4000
+"""Largest sum of `part_count` over a scene in a flight file: more would take tens of megabytes."""
+MAX_CHANGE_PARTS: Final = 4000
+"""Largest sum of `part_count` over the objects and materials that a change lists."""
 _SCENE_KEYS: Final = tuple(name for name in Scene.model_fields if name != "objects")
 
 
@@ -33,7 +33,7 @@ class Revised(NamedTuple):
     """Changed keys of the scene other than `objects`."""
     objects: Mapping[str, SceneObject | None]
     materials: Mapping[str, Material | None]
-    whole: tuple[Scene, Materials] | None
+    complete: tuple[Scene, Materials] | None
     """The new scene and materials if more has changed than a change lists, otherwise None."""
     rate_hz: float | None = None
     """The new servo rate if it has changed, otherwise None."""
@@ -75,8 +75,8 @@ def change_map(change: Change) -> dict[str, object]:
             }
         case Reset(tick, objects):
             return {"tick": tick, "reset": {} if objects is None else {"objects": list(objects)}}
-        case Revised(revision, scene, objects, materials, whole, rate_hz):
-            if whole is not None:
+        case Revised(revision, scene, objects, materials, complete, rate_hz):
+            if complete is not None:
                 return {"revision": revision, "large": True}
             if rate_hz is not None:
                 return {"revision": revision, "rate_hz": rate_hz}
@@ -92,8 +92,8 @@ def _plain(value: object) -> object:
     return value.to_dict() if isinstance(value, Model) else value
 
 
-def pieces(item: Model | None) -> int:
-    """Return the size of an encoded object or material: 1, plus its patches or the models of its texture."""
+def part_count(item: Model | None) -> int:
+    """Return a measure of an object's or material's encoded size: 1, plus its patches or the models of its texture."""
     match item:
         case Wall():
             return 1 + len(item.patches)
@@ -133,7 +133,7 @@ def _changed_keys(before: Scene, after: Scene) -> dict[str, object]:
 def _too_long(scene: Scene, ids: Collection[str], materials: Materials, names: Collection[str]) -> bool:
     total = 0
     for id in ids:
-        total += pieces(scene.objects.get(id))
+        total += part_count(scene.objects.get(id))
     for name in names:
-        total += pieces(materials.get(name))
-    return total > MAX_CHANGE_PIECES
+        total += part_count(materials.get(name))
+    return total > MAX_CHANGE_PARTS

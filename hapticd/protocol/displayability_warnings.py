@@ -1,6 +1,6 @@
-"""Warnings of objects and materials in a message that cannot be displayed as written, with their places in its params.
+"""Warnings of objects and materials in a message that are not displayed as written, with their paths in its params.
 
-`get_status` reports the same of the complete scene (rendering/displayability.py).
+`get_status` has the same warnings of the complete scene (rendering/displayability.py).
 """
 
 from collections.abc import Collection, Mapping
@@ -29,7 +29,7 @@ _PATH_BY_MODE: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove
 
 
 class MaterialReport(NamedTuple):
-    """What an output cannot display of a material as written."""
+    """The parts of a material that an output does not display as written."""
 
     material: Material
     output: Output
@@ -37,22 +37,22 @@ class MaterialReport(NamedTuple):
     """Modes and spectra above 0.4 of the rate."""
     warnings: list[Problem]
     """Parts that are displayed differently."""
-    fine: bool
+    no_faults: bool
     """Whether there is nothing to report, and no texture has a frequency above half the rate."""
 
     @classmethod
     def of(cls, name: str, material: Material, output: Output) -> Self:
-        """Return the report of a material at an output."""
-        lacking, warnings = undisplayable({name: material}, output), material_warnings(name, material, output)
-        fine = not (lacking or warnings or material_rate_faults(name, material, output))
-        return cls(material, output, lacking, warnings, fine)
+        """Return the report of a material for an output."""
+        not_displayed, warnings = undisplayable({name: material}, output), material_warnings(name, material, output)
+        no_faults = not (not_displayed or warnings or material_rate_faults(name, material, output))
+        return cls(material, output, not_displayed, warnings, no_faults)
 
     def problems(self, name: str, played: Collection[tuple[str, str]]) -> list[Problem]:
         """Return all problems, with their paths in a configuration.
 
         `played` are pairs of material and mode that the device plays itself.
         """
-        material, output, lacking, warnings, _ = self
+        material, output, not_displayed, warnings, _ = self
         refused = material_rate_faults(name, material, output)
         if refused:  # no object uses the material yet; one that does is refused
             return refused
@@ -62,7 +62,7 @@ class MaterialReport(NamedTuple):
                     path_text(("materials", name, *_PATH_BY_MODE.get(one.mode, (one.mode,)))),
                     above_rate(one.frequency_hz, one.shown_hz, output),
                 )
-                for one in lacking
+                for one in not_displayed
                 if (name, one.mode) not in played
             ),
             *warnings,
@@ -87,8 +87,8 @@ def change_warnings(
     """Return at most MAX_FAULTS warnings of the objects and materials in a message, and of materials they name.
 
     Paths of objects begin with `root`, those of materials in `sent` with `materials`. Other materials are reported
-    at the first object that names them. `reports` has all these materials. `played` are pairs of material and mode that
-    the device plays itself.
+    with the path of the first object that names them. `reports` has all these materials. `played` are pairs of
+    material and mode that the device plays itself.
     """
     if not sent and all(_is_fine(item, reports) for item in objects.values()):
         return []
@@ -108,14 +108,14 @@ def change_warnings(
 
 
 def _is_fine(item: SceneObject, reports: Mapping[str, MaterialReport]) -> bool:
-    """Whether there is certainly nothing to report of an object."""
+    """Return whether an object certainly has no warnings."""
     if item.kind == "wall" and item.patches:
         return False
-    return all(reports[name].fine for name in material_names(item))
+    return all(reports[name].no_faults for name in material_names(item))
 
 
 def operator_warnings(waypoints: npt.NDArray[np.float64], workspace_m: float, where: str | None) -> list[Problem]:
-    """Return a warning of the first of the waypoints, shape (n, 3), that is beyond the stops of the handle.
+    """Return a warning of the first waypoint, of shape (n, 3), that is beyond the stops of the handle; else [].
 
     `where` is the place of the warning, by default that of the waypoint.
     """

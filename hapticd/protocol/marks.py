@@ -40,11 +40,11 @@ class MarksFullError(Exception):
 
 
 def checked_data(data: object) -> Json:
-    """Return the data of a mark if it can be stored as JSON. Raises InvalidError otherwise."""
+    """Return the data of a mark. Raises InvalidError if it cannot be stored as JSON, or is too large."""
     try:
         size = len(json.dumps(data, ensure_ascii=False, allow_nan=False).encode("utf-8", "surrogatepass"))
     except (TypeError, ValueError) as error:
-        raise InvalidError([Problem("data", f"must be what JSON can hold: {error}")]) from None
+        raise InvalidError([Problem("data", f"must be a JSON value: {error}")]) from None
     if size > MAX_MARK_DATA_BYTES:
         raise InvalidError([Problem("data", f"must have at most {MAX_MARK_DATA_BYTES} bytes as JSON, has {size}")])
     return data  # type: ignore[return-value]

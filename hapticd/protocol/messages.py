@@ -1,7 +1,7 @@
 """Messages between daemon and client: JSON-RPC 2.0 objects in msgpack, and the frames around them, without I/O.
 
-The decoder accepts exactly what `docs/protocol.md` describes. It is safe for untrusted bytes: it uses at most a small
-multiple of the length of the message as memory, and it does not recurse.
+The decoder is safe for untrusted bytes: it uses at most a small multiple of the length of the message as memory, and
+does not recurse.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _MAX_SHARED_STRING_CHARACTERS: Final = 64
 """Equal strings up to this length, in characters, share memory in a decoded body; most are names of materials."""
 
 _MAX_FLAT_BODY_BYTES: Final = 4096
-"""Largest body decoded without a scan of its structure, in bytes. A header can claim at most as many elements."""
+"""Largest body decoded without a scan of its structure, in bytes. A false length in it allocates 4096 elements."""
 # The tags of maps and arrays, and of extensions. They also occur inside strings and numbers, so their count is an upper
 # bound of the number of containers or extensions.
 _CONTAINER_TAGS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
@@ -102,7 +102,7 @@ def _too_long(size: int, limit: int) -> str:
 
 
 def _map(strings: dict[str, str], pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Return the map of `pairs`. `strings` has the strings of the body that were decoded before.
+    """Return `pairs` as a dict, in which strings equal to one in `strings` are replaced by that; others are added.
 
     Strings are not interned: some versions of Python never free interned strings, and clients can send any number.
     """
@@ -129,7 +129,7 @@ def _extension(code: int, data: bytes) -> object:
 
 
 def _check_tree(root: object) -> None:
-    """Raise WireError for too deep nesting or timestamps. It works level by level, without recursion."""
+    """Raise WireError if a decoded body is nested too deeply or has timestamps, without recursion."""
     timestamp = msgpack.Timestamp
     level: list[object] = [[root]]
     depth = -1
@@ -154,7 +154,7 @@ def _is_flat(body: bytes) -> bool:
 
 
 def check_encoded(body: bytes) -> None:
-    """Raise WireError as `decode` does, for a body encoded by this process. Short bodies take half the time."""
+    """Raise WireError as `decode` does, for a body encoded by this process. Short ones take half the time."""
     # msgpack accepts keys of bytes and timestamps, `decode` does not; so bodies that may have them go to `decode`.
     if _is_flat(body) and _BIN8_TAG not in body and _TIMESTAMP_TYPE not in body:
         try:
@@ -301,7 +301,7 @@ def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> 
 
 
 def result_reply(id: Id, result: object) -> bytes | Encoded:
-    """Return the body of the reply to call `id` with a result. The result or members of its map may be encoded."""
+    """Return the body of the reply to call `id` with a result. The result or its members may be `Encoded`."""
     if isinstance(result, Encoded) and len(result.parts) == 1:
         return _REPLY_UP_TO_ID + encode(id) + _RESULT_KEY + result.parts[0]
     if isinstance(result, dict) and any(isinstance(value, Encoded) for value in result.values()):
@@ -336,5 +336,5 @@ def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
 
 
 def too_long_reply(size: int) -> bytes:
-    """Return the error reply to a body of more than MAX_BODY_BYTES bytes, which was not kept."""
+    """Return the error reply to a body of `size` bytes, more than MAX_BODY_BYTES. Its id is unknown."""
     return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY_BYTES))

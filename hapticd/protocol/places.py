@@ -104,7 +104,7 @@ def no_answer(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
 
 
 def after_waiting(error: DaemonNotRunning, wait_s: float) -> DaemonNotRunning:
-    """Return the error with the time that was spent waiting for a daemon to start."""
+    """Return the error with a note on the time that was spent waiting for a daemon to start."""
     return DaemonNotRunning(f"{error} (waited {wait_s:g} s for it)" if wait_s > 0 else str(error))
 
 

@@ -236,7 +236,7 @@ class Played(TypedDict):
 
 
 class ResetObjects(TypedDict):
-    """The ids that `reset` named; absent for all objects."""
+    """The ids in the params of `reset`; absent if all objects were reset."""
 
     objects: NotRequired[list[str]]
 

@@ -1,7 +1,7 @@
 """Notifications of streamed targets and forces, written and read without a general decoder.
 
-A stream sends up to a thousand messages a second. `read` accepts only the bytes to which msgpack libraries encode the
-members in this order. Other encodings of the same message are decoded as any request.
+A stream sends up to a thousand messages a second. `read` accepts only the bytes to which msgpack libraries encode
+jsonrpc, method, params (seq, vector), in this order. Other encodings of the message are decoded as any request.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Validation of objects and materials in a message, also when other params of the message are faulty."""
+"""Validation of objects and materials in a message, even if other params of the message are faulty."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, scene_steps, v
 
 
 def _same_kind(before: SceneObject, patch: object) -> SceneObject | None:
-    """Return the object with some keys replaced, without the slower way through a dictionary.
+    """Return the object with some keys replaced, without the slower conversion to a dictionary and back.
 
     Returns None for a faulty patch, and for one that changes `kind` or `patches`, removes a key or merges a mapping.
     """
@@ -114,7 +114,7 @@ def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[t
 def further_faults(
     method: str, params: Mapping[str, object], scene: Scene, materials: Materials
 ) -> Steps[list[Problem]]:
-    """Return the faults of scene, objects and materials in params of which others are faulty, to report all faults."""
+    """Return the faults of scene, objects and materials in params that are faulty elsewhere, to report all at once."""
     objects, given = params.get("objects"), params.get("materials")
     checks: list[Steps[object]] = []
     if method == "update_scene" and isinstance(objects, dict):

@@ -26,7 +26,7 @@ _GREETING_SIGNATURE: Final = b"\xff" + bytes(8) + b"\x7f"
 _NULL_MECHANISM: Final = b"NULL".ljust(20, b"\0")
 _LONG_SIZE_FORMAT: Final = struct.Struct(">Q")
 _MAX_KEPT_FRAMES: Final = 2
-"""Number of frames of a message up to which they are kept in full."""
+"""Largest number of frames of a message that is kept in full."""
 _NO_FRAME: Final = -1
 """Value of `Parser._left` between two frames."""
 _NO_GREETING: Final = -2
@@ -236,7 +236,7 @@ class Parser:
         return True
 
     def _keep(self, chunk: bytes) -> None:
-        """Keep a part of a frame that arrives in several parts."""
+        """Keep a chunk of a frame that arrives in several chunks."""
         if not self._cut or self._flags & COMMAND_FLAG:
             self._part += chunk
         elif not self._part:

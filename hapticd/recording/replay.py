@@ -32,7 +32,7 @@ from hapticd.config.materials import Material, validate_materials
 from hapticd.config.modes import Mode
 from hapticd.config.scene import Scene, materials_of, validate_object, validate_scene
 from hapticd.config.texture import Autoregressive, Stochastic
-from hapticd.protocol.changes import MAX_FLIGHT_OBJECTS, MAX_FLIGHT_PIECES
+from hapticd.protocol.changes import MAX_FLIGHT_OBJECTS, MAX_FLIGHT_PARTS
 from hapticd.protocol.events import event_map
 from hapticd.recording.missed_periods import rates_of
 from hapticd.recording.recording import Recording, load, recording_into, recording_path
@@ -158,7 +158,7 @@ def replay(path: str | os.PathLike[str]) -> Replay:
     if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
         raise HapticdError(
             f"{os.fspath(path)}: cannot be rendered again: files of the flight recorder do not hold scenes of more "
-            f"than {MAX_FLIGHT_OBJECTS:,} objects, or {MAX_FLIGHT_PIECES:,} patches and models"
+            f"than {MAX_FLIGHT_OBJECTS:,} objects, or {MAX_FLIGHT_PARTS:,} patches and models"
         )
     if missing:
         raise HapticdError(f"{os.fspath(path)}: cannot be rendered again: it holds no {', '.join(missing)}")

@@ -129,8 +129,8 @@ def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str]
         (["play", "--mode", "a=1e", "--amplitude", "1"], "must be like"),
         (["play", "wood"], "--amplitude"),
         (["play", "wood", "--amplitude", "-1"], "x>=0"),
-        (["record", "x.npz", "--for", "5 parsecs"], "is not a time such as 5s, 500ms or 2min"),
-        (["record", "x.npz", "--for", "0s"], "is not a time"),
+        (["record", "x.npz", "--for", "5 parsecs"], "is not a duration such as 5s, 500ms or 2min"),
+        (["record", "x.npz", "--for", "0s"], "is not a duration"),
         (["scene", "set", "x", "--expect-revision", "-1"], "x>=0"),
     ],
 )

@@ -123,8 +123,8 @@ def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
     [
         (b"", "the report descriptor is empty"),
         (STICK[:-1], "report descriptor: a collection is still open at its end"),
-        (b"05 01\n09 4\n", 'descriptor, line 2: "09 4" is not bytes in hexadecimal such as 05 01 09 04'),
-        (b"a joystick\n", 'line 1: "a joystick" is not bytes in hexadecimal'),
+        (b"05 01\n09 4\n", 'descriptor, line 2: "09 4": must be bytes in hexadecimal such as 05 01 09 04'),
+        (b"a joystick\n", 'line 1: "a joystick": must be bytes in hexadecimal'),
     ],
 )
 def test_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, told: str) -> None:

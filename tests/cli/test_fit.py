@@ -550,7 +550,7 @@ def test_what_cannot_be_synthesized_is_told_in_one_line(
         ("Missing option '-o'", 2, ("tap",)),
         ("must end in .npz", 1, ("tap", "-o", "x.csv")),
         ("already exists", 1, ("tap", "-o", "old.npz")),
-        ("does not exist", 1, ("tap", "-o", "no/x.npz")),
+        ("the folder no does not exist", 1, ("tap", "-o", "no/x.npz")),
         ("-c FILE adds other materials", 1, ("tap", "-o", "x.npz", "--material", "cork")),
         ('unknown material "wod"', 1, ("tap", "-o", "x.npz", "--material", "wod")),
         ("the material has no tap", 1, ("tap", "-o", "x.npz", "--material", "cellophane")),

@@ -58,7 +58,7 @@ SAYS: Final = {
     "models": r"is unstable|has an RMS of|different (speed|force)|are both at",
     "provenance": r"must be a day|must not end below",
     "stroke": "from_m and to_m must differ",
-    "json": r"what JSON can hold|bytes as JSON|^data\S*: must be finite",
+    "json": r"must be a JSON value|bytes as JSON|^data\S*: must be finite",
     "known": r"unknown (material|object)|has the id|cannot be removed|is a waveform, which play|neither a tap nor",
     "rate": r"of the rate|servo rate|servo\.rate",
     "reach": r"is beyond the|has no stiffness|cannot be punctured|would last",

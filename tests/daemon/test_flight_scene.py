@@ -8,7 +8,7 @@ from hapticd.config.configuration import default_config
 from hapticd.config.modes import Mode
 from hapticd.config.scene import MAX_PATCHES, Scene, SceneObject, validate_object, validate_scene
 from hapticd.daemon.flight_scene import MAX_KEPT_CHANGES, FlightScene
-from hapticd.protocol.changes import MAX_FLIGHT_OBJECTS, MAX_FLIGHT_PIECES, Change, Played, Reset, Revised, revised
+from hapticd.protocol.changes import MAX_FLIGHT_OBJECTS, MAX_FLIGHT_PARTS, Change, Played, Reset, Revised, revised
 from hapticd.protocol.changes import MAX_LISTED_CHANGES as MOST_TOLD
 
 MATERIALS = default_config().materials
@@ -92,7 +92,7 @@ def test_a_change_that_is_too_large_to_be_told_is_a_new_beginning(scene: FlightS
     after = before.with_objects({f"disc{number}": disc(number / 1e4) for number in range(MOST_TOLD + 1)})
     scene.take(moved(2, 0.1))
     change = revised(3, before, after, list(after.objects), MATERIALS, MATERIALS)
-    assert change.whole is not None
+    assert change.complete is not None
     scene.take(change)
     scene.take(moved(4, 0.2))
     revisions, objects, _ = kept(scene)
@@ -118,17 +118,17 @@ def test_patches_count_as_objects_do() -> None:
     before = validate_scene({"objects": {"floor": FLOOR}})
     scene = FlightScene(before, MATERIALS, 1, RATE_HZ)
     large = patched(MAX_PATCHES)
-    walls = {f"wall{number}": large for number in range(MAX_FLIGHT_PIECES // MAX_PATCHES + 1)}
+    walls = {f"wall{number}": large for number in range(MAX_FLIGHT_PARTS // MAX_PATCHES + 1)}
     many = before.with_objects(walls)
     change = revised(2, before, many, list(walls), MATERIALS, MATERIALS)
-    assert change.whole is not None and change.objects == {}
+    assert change.complete is not None and change.objects == {}
     scene.take(change)
     assert scene.history().texts() == {"scene": None, "materials": None}
     some = before.with_objects({"one": patched(500), "other": patched(500)})
     scene.take(revised(3, many, before, list(walls), MATERIALS, MATERIALS))
     for revision in range(4, 10):
         change = revised(revision, before, some, ["one", "other"], MATERIALS, MATERIALS)
-        assert change.whole is None
+        assert change.complete is None
         scene.take(change)
     assert kept(scene)[0] == [6, 7, 8, 9], "1003 pieces each"
 

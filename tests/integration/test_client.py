@@ -407,7 +407,7 @@ def test_messages_that_are_too_large_are_refused_here(fake: FakeDaemon) -> None:
         with pytest.raises(HapticdError, match=r"set_scene: message too long: must be at most 2097152 bytes, is \d+"):
             client.set_scene({"objects": {"x": "y" * 3_000_000}})
         with pytest.raises(
-            HapticdError, match=r"^scene\.objects: must be what JSON can hold, is a Python object of type function$"
+            HapticdError, match=r"^scene\.objects: must be a JSON value, is a Python object of type function$"
         ):
             client.set_scene({"objects": unanswering})
         assert fake.requests == []

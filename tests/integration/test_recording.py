@@ -487,10 +487,10 @@ def test_marks_of_a_block_are_in_the_file(daemon: Daemon, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("note", "told"),
     [
-        ({"when": date(2026, 1, 2)}, r"notes\.when: must be what JSON can hold, is a Python object of type date"),
+        ({"when": date(2026, 1, 2)}, r"notes\.when: must be a JSON value, is a Python object of type date"),
         ({"gains": [1.0, math.nan]}, r"notes\.gains\[1\]: must be finite, is nan"),
-        ({"by_trial": {1: "wood"}}, r"notes\.by_trial: must have texts as keys, has 1"),
-        ({"name": "\ud800"}, r"notes\.name: must be text that UTF-8 can hold"),
+        ({"by_trial": {1: "wood"}}, r"notes\.by_trial: keys must be strings, this one is 1"),
+        ({"name": "\ud800"}, r"notes\.name: must be text that UTF-8 can encode"),
     ],
 )
 def test_a_note_that_no_file_can_keep_is_refused(
