@@ -14,8 +14,8 @@ class EventCode(IntEnum):
     data. Codes above 100 stand for events of the daemon, for which the session sends no mark.
     """
 
-    SESSION_BEGIN = 1, "the instructions were read, and the first trial follows"
-    SESSION_RESUMED = 2, "a session is continued: the instructions were read, and the next trial follows"
+    SESSION_BEGIN = 1, "the participant has read the instructions; the first trial follows"
+    SESSION_RESUMED = 2, "the session continues: the participant has read the instructions; the next trial follows"
     SESSION_END = 3, "all trials are done, or a stop rule ended the session"
     SESSION_ABORTED = 4, "the experimenter or an error ended the session early"
     TRIAL_ARMED = 10, "the scene of the first interval is loaded, and the forces are off"
