@@ -137,7 +137,7 @@ class Wall(Model):
         default=0.001, ge=1e-5, le=1, description="Width of the blend between two materials, centred on their edge."
     )
 
-    def sections(self) -> tuple[list[float], list[str]]:
+    def stretches(self) -> tuple[list[float], list[str]]:
         """Return the start coordinates and the materials of all sections of the wall, in rising order.
 
         Sections are the patches and the base material between them. The first begins at -inf, the last has no end.
