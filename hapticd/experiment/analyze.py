@@ -1,6 +1,6 @@
 """The complete analysis of the sessions of one study.
 
-Only answered trials of the test phase are used. Without these, its trials with a measure of the motion are used. The
+Only answered trials of the test phase are used. If it has none, its trials with a measure of the motion are used. The
 summary says how many trials are left out.
 """
 
@@ -19,7 +19,7 @@ from hapticd.experiment.published_tables import PublishedResults, published_resu
 from hapticd.experiment.results import ResultTable, Section
 
 RANK_WORDS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
-"""Names of the ranks in a ranking, and of the positions that an answer can mean."""
+"""Names of positions in the order of presentation; a ranking is an answer such as second>first>third."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -102,7 +102,7 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
 
 
 def pairs(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
-    """Tabulate percent correct of each pair, and its rank correlation to the published matrix.
+    """Tabulate percent correct of each pair, and its rank correlation with the published matrix.
 
     The matrices have the form of Tables 2 and 3 of Okamura et al. (1998).
     """
@@ -238,7 +238,7 @@ def confusions(rows: Sequence[Row], facts: StudyFacts) -> Section:
 
 
 def _ordered(names: Iterable[str], known: Sequence[str]) -> tuple[str, ...]:
-    """Sort names as the study lists them. Others follow, sorted as numbers or else as text."""
+    """Sort names as in `known`. Other names follow, sorted as numbers or else as text."""
     present = set(names)
     listed = [name for name in dict.fromkeys(known) if name in present]
     return (*listed, *sorted(present.difference(listed), key=_sortable))

@@ -1,7 +1,6 @@
 """Rows of answers from the folders of sessions (`*_beh.tsv`), and facts from the study.yaml of a session.
 
-A row is a trial; a missing value is `n/a` (BIDS). Of the study only type of trial, chance level, published table,
-meaning of answers and order of levels are read.
+A row is a trial; a missing value is `n/a` (BIDS). From study.yaml only the members of `StudyFacts` are read.
 """
 
 from __future__ import annotations
@@ -84,7 +83,7 @@ class Varied:
     variable: str | None = None
     """The key that is varied; its name ends with its unit."""
     at: tuple[str, ...] = ()
-    """Paths of the keys that are set to its value."""
+    """Paths of the keys that are set to the value of the variable."""
     reference: float | None = None
     """Value in the stimuli that the target is compared with."""
     level: str = "value"

@@ -143,9 +143,9 @@ def stimulus_name(study: Study, cell: Cell, index: int) -> str:
 def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None:
     """Return the name of the correct answer if the stimuli of a cell are presented in this order.
 
-    `order` holds indices of `cell.levels`. In a paired comparison the correct answer follows from the level that the
-    question asks for. In a forced choice it means the position of the target, unless the question asks for a level. In
-    an identification it names the level. In a ranking it lists the positions in order.
+    `order` holds indices of `cell.levels`. In a paired comparison and a forced choice, the correct answer is the
+    position of the stimulus with the highest or lowest level, as the question asks; if it asks for neither, that of the
+    target of a forced choice. In an identification it is the level, in a ranking all positions in order.
 
     Returns None if the study does not define a correct answer, if stimuli tie and no answer means `same`, and for a
     listed forced choice whose target neither the trial nor the question defines.
@@ -192,7 +192,7 @@ def _meaning(question: ChoiceQuestion, position: int) -> str | None:
 def _ranks(study: Study, cell: Cell, order: Sequence[int], factor: str) -> list[float]:
     """Return the rank of each stimulus by its level of a factor, in the order of presentation.
 
-    The rank of a numeric level is the level itself, as a reference need not be a level of the factor.
+    A number is its own rank, as a reference need not be a level of the factor. Texts rank in the factor's order.
     """
     levels = [cell.levels[index][factor] for index in order]
     if all(isinstance(level, int | float) and not isinstance(level, bool) for level in levels):

@@ -1,4 +1,4 @@
-"""The check of a study: problems with the display, duration of a session, trials of each cell, and power.
+"""Check a study: stimuli that the device cannot display, duration of a session, trials of each cell, and power.
 
 Each stimulus is checked as `hapticd check` checks a configuration. No force is displayed.
 """
@@ -65,7 +65,7 @@ class StudyReport:
     """Probability of a correct answer by guessing, from analysis.chance, or None. Without it answers are not tested."""
     power: Power | None
     undisplayable: tuple[Problem, ...]
-    """Problems with the display on the device, each once with the names of its stimuli."""
+    """Problems that the device has with stimuli, each once with the names of these stimuli."""
     to_look_at: tuple[Problem, ...]
     """Warnings: names visible to participants that reveal levels or conditions, and staircases that cannot reach their
     hardest level."""
@@ -160,7 +160,7 @@ def _power(study: Study, cells: int, trials: int) -> Power | None:
 
 
 def display_problems(study: Study, cells: Sequence[Cell], rig: Config) -> tuple[str, tuple[Problem, ...]]:
-    """Return the device of `rig`, and its problems with displaying stimuli, each once with the names of its stimuli."""
+    """Return the device of `rig`, and its problems with stimuli, each once with the names of these stimuli."""
     found: dict[tuple[str, str], list[str]] = {}
     device = ""
     for name, stimulus in _stimuli(study, cells):
@@ -179,7 +179,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulus]]:
-    """Yield each stimulus once, with its name, as it is at the first place.
+    """Yield each stimulus once, with its name, as if presented at the first place.
 
     The stimuli of a procedure are its reference and the target at both ends of the procedure's range.
     """

@@ -30,13 +30,13 @@ from hapticd.recording.recording import load
 RUNNER_LEASE_S: Final = 3.0
 """Duration of the runner's lease. The forces fade out this long after the runner hangs or is killed."""
 TELEMETRY_LAG_TIMEOUT_S: Final = 20.0
-"""Timeout of a trial's telemetry. If it is later, the machine is too busy."""
+"""Longest wait for the telemetry of a trial after its end. If it takes longer, the machine is too busy."""
 FADE_TIMEOUT_S: Final = 5.0
 """The force must be zero within this time after it was switched off."""
 _LEASE_GRACE_S: Final = 1.0
-"""The wait for another client's lease is a lease's duration plus this time."""
+"""Another client's lease is awaited for the duration of a lease plus this time."""
 _LEASE_RETRY_S: Final = 0.1
-"""Time between two attempts to take a lease that another client holds. The daemon does not report when it lapses."""
+"""Time between two attempts to take another client's lease. The daemon does not report when a lease lapses."""
 _DESCRIBED_STATUS_KEYS: Final = ("version", "protocol", "started_ns", "device", "rate_hz", "realtime", "undisplayable")
 """Keys of the daemon's status that are stored with the session."""
 _SAMPLE_BATCH_S: Final = 0.02
@@ -96,7 +96,7 @@ class DaemonStage:
             raise ForcesStopped("another client switched the forces off")
 
     def arm(self, config: Config) -> None:
-        """Arm a scene as `Stage.arm`: `apply` replaces scene and materials, `reset` restores ruptured membranes."""
+        """Arm a scene as `Stage.arm`, by the daemon's methods `apply` (scene and materials) and `reset` (membranes)."""
         self.fade()
         known = shipped_materials()
         materials = {

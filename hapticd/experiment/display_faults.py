@@ -86,7 +86,7 @@ def _faults(make: Callable[[], dict[str, Json]]) -> list[Fault]:
 
 
 def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place: str | None) -> list[Fault]:
-    """Return the faults of a stimulus: at a level that alone causes them, or else at trial.cross or trial.list."""
+    """Return the faults of a stimulus, at the level that alone causes them, or else at trial.cross or trial.list."""
     found = _faults(partial(document_of, study, condition, levels, place))
     if not found:
         return []
@@ -99,7 +99,7 @@ def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place:
 
 
 def _level_path(study: Study, name: str, level: Scalar, text: str) -> Path:
-    """Return the path of a level in the study, or for an unknown key that of the factor's `at`."""
+    """Return the path of a level in the study, or that of the factor's `at` if `at` names an unknown key."""
     factor = study.factors[name]
     if factor.at is not None and text.startswith(UNKNOWN_KEY):
         return ("factors", name, "at")

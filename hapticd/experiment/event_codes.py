@@ -58,7 +58,7 @@ _CODES_OF_EVENTS: Final = {code.text: code for code in EventCode if code > 100}
 def code_of(event: Mapping[str, object]) -> EventCode | None:
     """Return the event code of an event of the daemon, or None.
 
-    Marks of other clients have none, even with the text of a session's mark.
+    Marks of other clients have no code, even with the text of a session's mark.
     """
     if event.get("event") != "mark":
         return _CODES_OF_EVENTS.get(str(event.get("event")))

@@ -289,7 +289,7 @@ def _listed(study: Study, listed: ListedTrial, known: _Known, where: Path) -> It
 def _levels(
     study: Study, levels: Mapping[str, Scalar], known: _Known, where: Path, any_number: bool = False
 ) -> Iterator[Fault]:
-    """Check levels by factor. With `any_number`, numbers that are not levels of a numeric factor are allowed."""
+    """Check the level of each factor. With `any_number`, any number is allowed for a numeric factor."""
     for name, level in levels.items():
         factor = study.factors.get(name)
         if factor is None:

@@ -145,7 +145,7 @@ class Front(Protocol):
         """Return a command that forbids the forces, or None. Called just before and just after they are switched on."""
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Present an interval except the last, counted from 1, and return when the participant ends it."""
+        """Present an interval that is not the last, counted from 1, and return when the participant ends it."""
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
         """Present the last interval, ask the question and return the reply. Calls `stage.check` while it waits."""
@@ -163,10 +163,10 @@ class Front(Protocol):
         """Report a saved answer. `response_s` is the time from the onset of the last interval, in s."""
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """Show a break of at least another `least_s`, in s. Return when the participant continues."""
+        """Show a break that lasts at least `least_s` more seconds. Return when the participant continues."""
 
     def paused(self) -> Command | None:
-        """Show a pause of the experimenter, and return when the experimenter continues."""
+        """Show that the session is paused, and return when the experimenter continues."""
 
     def tell(self, line: str) -> None:
         """Show one line to the experimenter."""

@@ -65,7 +65,7 @@ class Factor(CheckedTogether):
     at: KeyPaths | None = Field(
         default=None,
         description="The keys that take the level, from the configuration's root: materials.wood.tap.frequency_hz. "
-        "{place} stands for the place of the stimulus. A material's name at materials.NAME stands for its keys.",
+        "{place} stands for the place of the stimulus. At materials.NAME, the name of a material stands for its keys.",
     )
     variants: Annotated[dict[Name, Patch], Field(min_length=1, max_length=MAX_FACTOR_LEVELS)] | None = Field(
         default=None,
@@ -73,7 +73,7 @@ class Factor(CheckedTogether):
     )
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between levels, variants and at."""
+        """Return conflicts between the keys `levels`, `variants` and `at`."""
         faults = one_of_two(self, "levels", "variants")
         if self.variants is not None and self.at is not None:
             faults.append("at is only valid with levels; variants name the keys that they change")
@@ -102,9 +102,10 @@ class ReplyAnswer(Model):
         default=None, description=f"A key of the keyboard: one character, or one of {', '.join(NAMED_KEYS)}."
     )
     means: Meaning | None = Field(
-        default=None, description="Position of the stimulus that it names, in the order of presentation, or same."
+        default=None,
+        description="Position of the stimulus that the answer names, in the order of presentation, or same.",
     )
-    level: Level | None = Field(default=None, description="The level that it names, in an identification.")
+    level: Level | None = Field(default=None, description="The level that the answer names, in an identification.")
 
 
 class Asked(Model):
@@ -113,7 +114,7 @@ class Asked(Model):
     factor: Name = Field(description="The factor, or the variable of a procedure, by which stimuli are compared.")
     which: Literal["highest", "lowest"] = Field(
         default="highest",
-        description="The stimulus with the highest level or the lowest; texts rise in the factor's order.",
+        description="The stimulus with the highest level or the lowest; levels as texts rise in the factor's order.",
     )
 
 
@@ -200,7 +201,7 @@ class Variable(Model):
     """The key that an adaptive procedure varies."""
 
     name: Name = Field(description="Name in the data.")
-    at: KeyPaths = Field(description="The keys that take its value, as `at` of a factor.")
+    at: KeyPaths = Field(description="The keys that take the variable's value, as `at` of a factor.")
     reference: float = Field(ge=-1e9, le=1e9, description="Value in the stimuli that the target is compared with.")
     level: Literal["value", "added", "factor"] = Field(
         default="value",
@@ -212,7 +213,7 @@ class Variable(Model):
 class Adaptive(Model):
     """An adaptive procedure: the next level follows from the answers before it."""
 
-    variable: Variable = Field(description="What it varies.")
+    variable: Variable = Field(description="What the procedure varies.")
     method: Annotated[Method, Field(discriminator="kind")] = Field(description="The procedure and its parameters.")
     practice_level: float | None = Field(
         default=None, ge=-1e9, le=1e9, description="The level in practice and training trials."
@@ -241,10 +242,10 @@ class ListedTrial(Model):
     stimuli: Annotated[
         tuple[dict[Name, Level], ...], Strict(False), Field(min_length=1, max_length=MAX_STIMULI_PER_TRIAL)
     ] = Field(description="The level of every factor, for each stimulus in the order of presentation.")
-    condition: Name | None = Field(default=None, description="The condition that it belongs to; by default all.")
+    condition: Name | None = Field(default=None, description="The condition that the trial belongs to; by default all.")
     correct: Name | None = Field(default=None, description="The correct answer, if the question does not define it.")
     repetitions: int = Field(
-        default=1, ge=1, le=MAX_TRIALS, description="How often it is presented in each repetition of the list."
+        default=1, ge=1, le=MAX_TRIALS, description="How often the trial is presented in each repetition of the list."
     )
 
 
@@ -301,7 +302,7 @@ class Warmup(Model):
     """Practice or training trials before the test."""
 
     trials: int = Field(ge=1, le=1000, description="Number of trials, spread evenly over the cells.")
-    instructions: Markdown | None = Field(default=None, description="What is shown before them.")
+    instructions: Markdown | None = Field(default=None, description="What is shown before these trials.")
     feedback: bool = Field(default=True, description="Whether the participant sees what was correct or measured.")
 
 
@@ -319,7 +320,9 @@ class Breaks(Model):
 class Stop(Model):
     """Rules that end the test before its last trial."""
 
-    after_s: Seconds | None = Field(default=None, description="No trial begins later than this after the first one.")
+    after_s: Seconds | None = Field(
+        default=None, description="Time since the first test trial after which no trial begins."
+    )
     wrong_in_a_row: int | None = Field(
         default=None, ge=1, le=10_000, description="Number of successive wrong answers that ends the test."
     )
@@ -334,7 +337,7 @@ class ProportionEffect(Model):
         default=0.0, ge=0, le=0.5, description="Standard deviation of that probability between participants."
     )
     participants: int = Field(ge=2, le=1000, description="Number of participants.")
-    significance: float = Field(default=0.05, gt=0, lt=0.5, description="Level of the test, two-sided.")
+    significance: float = Field(default=0.05, gt=0, lt=0.5, description="Significance level of the two-sided test.")
 
 
 class DifferenceEffect(Model):
@@ -349,7 +352,7 @@ class DifferenceEffect(Model):
         default=0.0, ge=0, le=1e9, description="Standard deviation of the true difference between participants."
     )
     participants: int = Field(ge=2, le=1000, description="Number of participants.")
-    significance: float = Field(default=0.05, gt=0, lt=0.5, description="Level of the test, two-sided.")
+    significance: float = Field(default=0.05, gt=0, lt=0.5, description="Significance level of the two-sided test.")
 
 
 class StudyAnalysis(Model):

@@ -36,14 +36,14 @@ OUTLET_BUFFER_S: Final = 60
 OUTLET_LINGER_S: Final = 0.5
 """Delay before an outlet is closed. Closing drops unsent data, and LSL does not report when everything was sent."""
 _DRAIN_TIMEOUT_S: Final = 1.0
-"""At the end of a stream, telemetry is drained until the daemon has been silent for this long."""
+"""The end of a stream: telemetry is received until the daemon has been silent for this long."""
 _RECEIVE_TIMEOUT_S: Final = 0.1
 """Time between two checks of the stop event and of the daemon's silence, while no message arrives."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One number of each sample: a field of the daemon's sample, and the axis if the field is a vector."""
+    """A channel of an outlet: a field of the daemon's samples, or one axis of a field that is a vector."""
 
     label: str
     field: str

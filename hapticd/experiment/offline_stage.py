@@ -53,7 +53,7 @@ class OfflineStage:
         self._config = config
 
     def is_clear(self) -> bool:
-        """Return True: each motion starts at its first waypoint."""
+        """Return True, since no hand holds the handle between motions."""
         return True
 
     def enable(self) -> None:

@@ -74,7 +74,7 @@ def latin_order(count: int, seed: int, participant: str, session: int) -> list[i
 def blocks_of(
     keys: Sequence[Hashable], kind: OrderKind, generator: np.random.Generator, square: Sequence[int] = ()
 ) -> list[list[int]]:
-    """Return the indices of `keys` in blocks, in the order of the session.
+    """Return the blocks of a session in their order, each as indices of `keys` (the key of each trial).
 
     For `blocked` and `latin_square`, equal keys make a block. For `latin_square`, `square` is the order of the blocks,
     which are numbered by their first appearance. Within a block all orders are equally likely.
@@ -97,9 +97,9 @@ def shuffled(items: Sequence[int], generator: np.random.Generator) -> list[int]:
 
 
 def interleaved(counts: Sequence[int], generator: np.random.Generator) -> list[int]:
-    """Return the indices of procedures, each `counts[index]` times, in random rounds.
+    """Return an order of procedures in which each index occurs `counts[index]` times.
 
-    A round contains each procedure that has trials left, once.
+    It consists of rounds: each has every procedure that has trials left once, in random order.
     """
     found: list[int] = []
     for turn in range(max(counts, default=0)):

@@ -1,4 +1,7 @@
-"""The plan of a session: which trials a participant gets, in which order, with which stimuli."""
+"""The plan of a session: which trials a participant gets, in which order, with which stimuli.
+
+Trials of a cell (`cells.Cell`) differ only in the order of presentation.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ class PlannedTrial:
     """Number of the trial in its cell and phase, or in the run of its procedure, from 1."""
     stimuli: tuple[Stimulus, ...]
     """The stimuli in order of presentation: places from left to right, or intervals. The target of an adaptive trial
-    does not have the level of the variable yet; see stimuli.at_level."""
+    has no value of the varied key yet; see stimuli.at_level."""
     question: str
     """Name of the question in the study."""
     correct: str | None
@@ -155,7 +158,7 @@ def _with_target_at(position: int, count: int) -> tuple[int, ...]:
 
 
 def _orders(study: Study, cells: Sequence[Cell], generator: np.random.Generator) -> list[list[tuple[int, ...]]]:
-    """Return the orders of presentation of the trials of each cell, balanced over trials."""
+    """Return the order of the stimuli of each trial, by cell, balanced over trials."""
     own = [tuple(range(len(cell.levels))) for cell in cells]
     if study.trial.list is not None:
         return [[order] * cell.count for order, cell in zip(own, cells, strict=True)]
@@ -173,7 +176,7 @@ def _orders(study: Study, cells: Sequence[Cell], generator: np.random.Generator)
 
 
 def _pair_orders(cells: Sequence[Cell], generator: np.random.Generator) -> list[list[tuple[int, ...]]]:
-    """Return the orders of pairs for each cell, balanced within each condition."""
+    """Return which stimulus of its pair each trial presents first, by cell, balanced within each condition."""
     found: list[list[tuple[int, ...]]] = [[] for _ in cells]
     numbers: dict[tuple[str, tuple[tuple[str, object], ...]], int] = {}
     pairs: dict[str, list[tuple[int, tuple[int, int]]]] = {}
@@ -190,7 +193,7 @@ def _pair_orders(cells: Sequence[Cell], generator: np.random.Generator) -> list[
 
 
 def _ranking_orders(cell: Cell, generator: np.random.Generator) -> list[tuple[int, ...]]:
-    """Return orders of presentation for a ranking: Latin squares of cyclic shifts of a random order.
+    """Return the order of the stimuli of each ranking: Latin squares, cyclic shifts of random orders.
 
     Each stimulus is at each position equally often, give or take one trial.
     """
@@ -206,7 +209,7 @@ def _ranking_orders(cell: Cell, generator: np.random.Generator) -> list[tuple[in
 def _warmup(
     study: Study, cells: Sequence[Cell], warmup: Warmup, generator: np.random.Generator
 ) -> list[_UnplacedTrial]:
-    """Return practice or training trials: cells equally often, give or take one, in random order, sides at random."""
+    """Return practice or training trials: each cell equally often, give or take one, with random order and sides."""
     chosen: list[int] = []
     while len(chosen) < warmup.trials:
         chosen += shuffled(range(len(cells)), generator)

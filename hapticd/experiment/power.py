@@ -27,7 +27,7 @@ class Power:
     """The simulated power of a study."""
 
     power: float
-    """Fraction of the experiments in which the test rejects chance, or no difference, in the right direction."""
+    """Fraction of the experiments in which the test rejects chance (or no difference) in the effect's direction."""
     standard_error: float
     """Standard error of `power`, due to the number of simulated experiments."""
     participants: int

@@ -5,7 +5,7 @@ These kinds of records change the progress. The others do not: `session_resumed`
 
     session_started the session began
     trial_started   an attempt at a trial began: trial, attempt, file, stimuli, level
-    answer          the trial is done: answer, correct, times, measures, and the state of its procedure after it
+    answer          the trial is done: answer, correct, times, measures, and the new state of its procedure
     trial_given_up  the attempt does not count: repeated, paused, aborted, or a motor task that was not done
     trial_skipped   the trial is not needed, because its procedure has ended
     ended           the session is over: all trials are done, or a stop rule ended it

@@ -317,7 +317,7 @@ class Session:
         asked_s: float,
         answered_s: float,
     ) -> None:
-        """Write the answer and the new state of its procedure to disk, in one record."""
+        """Write the answer and the new state of the trial's procedure to disk, in one record."""
         trial = armed.trial
         question = self._plan.study.questions[trial.question]
         answer: Json = reply.answer
@@ -429,7 +429,7 @@ class Session:
     def _ask_during_attempt(
         self, armed: _ArmedTrial, attempt: int, ask: Callable[[], Reply | Command | None]
     ) -> Reply | None:
-        """Ask the front during an attempt. A pause or a repetition ends the attempt, to keep times valid."""
+        """Ask the front during an attempt. A pause or a repetition ends the attempt, as its times would be invalid."""
         while True:
             result = ask()
             if not isinstance(result, Command):

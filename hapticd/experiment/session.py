@@ -96,7 +96,7 @@ def plan_of(folder: SessionFolder) -> Plan:
 
 
 def procedure_of(study: Study, name: str, state: Json) -> Procedure:
-    """Make the adaptive procedure of a name: a new one if the state is null, else one with that state.
+    """Make the adaptive procedure called `name`: a new one if the state is null, else one with that state.
 
     Raises HapticdError if the study or the state is invalid.
     """

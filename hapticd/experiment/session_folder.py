@@ -7,7 +7,7 @@
     trial-0007.npz    telemetry of the trial with index 7; that of its second attempt is trial-0007-2.npz
     beh/              the tables of BIDS, made from the log (bids)
 
-These files keep order and answers however the process ends.
+These files preserve the order of trials and the answers, however the process ends.
 """
 
 from __future__ import annotations

@@ -34,9 +34,9 @@ class Reaction:
     """A reaction of a simulated hand to what it feels."""
 
     noticed_s: Callable[[Samples], float | None]
-    """Returns the time in s, from the first sample, at which the hand reacts to the samples, or None."""
+    """Returns when the hand reacts to the samples that it felt, in s from the first sample, or None."""
     then: Callable[[float], Waypoints]
-    """Returns the waypoints from a time onwards."""
+    """Returns the waypoints of the reaction from a time onwards."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,7 +149,7 @@ class TextFront:
         return self._wait_for_enter("Press Enter to switch the forces on.")
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Ask to withdraw the handle, and wait until it is clear."""
+        """Ask to withdraw the handle, and wait until it is clear of the objects."""
         self._say("Move the stylus away from all surfaces. Then the forces are switched on.")
         with self._keys.single():
             while not stage.is_clear():
@@ -160,7 +160,7 @@ class TextFront:
         return None
 
     def may_enable(self) -> Command | None:
-        """Return None: input is only read while waiting for it."""
+        """Return None, since commands are only read while this front waits for input."""
         return None
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:

@@ -59,7 +59,7 @@ class Information:
 def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str] = ()) -> Confusion:
     """Return the confusion matrix of trials.
 
-    Stimuli and answers are sorted as in `order`; those that it lacks follow in the order of the trials. Raises FitError
+    Stimuli and answers are sorted as in `order`; others follow in the order of the trials. Raises FitError
     without trials, and for lists of different lengths.
     """
     if len(shown) != len(answered) or not shown:

@@ -47,7 +47,7 @@ def order_matrix(pairs: Iterable[tuple[str, str]], correct: Iterable[bool], item
 
 
 def rank_correlation(ours: npt.ArrayLike, published: npt.ArrayLike) -> tuple[float, int]:
-    """Return Spearman's rank correlation over the cells that are finite in both tables, and their number.
+    """Return Spearman's rank correlation over the cells that are finite in both tables, and the number of cells.
 
     The correlation is NaN for fewer than three cells, or if either table is constant in these cells. Raises FitError
     for tables of different size.

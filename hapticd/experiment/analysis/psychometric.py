@@ -194,7 +194,7 @@ def goodness_of_fit(found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES
 def percentiles(spread: Floats, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
     """Return the ends of the interval that contains the fraction `level` of resampled values (n,).
 
-    They are interpolated order statistics at (n + 1) times the tail probabilities.
+    The ends are interpolated order statistics at (n + 1) times the tail probabilities.
     """
     rest = 0.5 * (1.0 - level)
     low, high = np.quantile(spread, (rest, 1.0 - rest), method="weibull")

@@ -2,7 +2,7 @@
 
 The session runs in a thread, as at a terminal; the pages run in the event loop of the main thread.
 
-    process             starts both, waits for the end of the session, and closes everything
+    process             starts session and pages, and closes everything when the session ends
     pages_front         the front of the session: content of the pages, and messages from them
     screens             content of the participant's page
     console             content of the experimenter's page

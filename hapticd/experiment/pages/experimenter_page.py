@@ -1,12 +1,12 @@
 """The methods of the experimenter's page, in addition to those of every page of `hapticd web`.
 
-    experiment.watch    {since} -> the console (console.py) and the answers from index `since` on; the first heartbeat
+    experiment.watch    {since} -> the console (console.py) and the answers from index `since` on; counts as a heartbeat
     experiment.beat     {}: heartbeat
     experiment.go_on    {screen}: the button to continue was pressed on a screen
     experiment.command  {kind: pause | repeat | abort | note, text}
     experiment.auto     {on}: whether trials begin automatically
 
-After every change the page receives {"experiment": {...}}: the console with the number of answers, `answers`.
+After every change the page receives {"experiment": {...}}: the console, with the number of answers as `answers`.
 """
 
 from __future__ import annotations

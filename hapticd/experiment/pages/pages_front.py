@@ -57,7 +57,7 @@ _PageMessage: TypeAlias = "_Continue | _Answer | _StateChanged | Command"
 
 
 class PagesFront:
-    """The front of a session whose participant and experimenter each have a page."""
+    """The front of a session whose participant and experimenter each have a page; see `Front` for the methods."""
 
     def __init__(self, plan: Plan, changed: Callable[[], None]) -> None:
         """Create the front of a plan; `changed` is called from any thread when the content of a page has changed."""
@@ -275,7 +275,7 @@ class PagesFront:
                 setattr(self._console, name, value)
 
     def _show_felt(self, shown: Shown, interval: int, asks: bool) -> None:
-        """Show a trial whose forces are on. After a note the screen and its time limit are unchanged."""
+        """Show a trial whose forces are on. If it is shown already, its screen and time limit are unchanged."""
         screen = self._screen
         same = screen.get("felt") and (screen["interval"], screen["question"] is not None) == (interval, asks)
         if self._shown is shown and same:

@@ -28,7 +28,7 @@ class Presence:
         now: Callable[[], float] = time.monotonic,
         swept: Callable[[], None] = lambda: None,
     ) -> None:
-        """Call `changed` when the first page comes and when the last one leaves, and `swept` after each check."""
+        """Begin without pages. `changed` is called when the first page comes or the last leaves, `swept` per check."""
         self._swept = swept
         self._changed, self._away_s, self._now = changed, away_s, now
         self._heard: dict[Hashable, float] = {}
@@ -40,7 +40,7 @@ class Presence:
         return bool(self._heard)
 
     def follow(self, page: Page) -> bool:
-        """Remove a page when it is closed. Returns False if the page was already followed."""
+        """Arrange that a page is removed when it is closed. Returns False if this was already arranged."""
         if page in self._followed:
             return False
         self._followed.add(page)

@@ -1,7 +1,6 @@
 """The screens of the participant's page.
 
-A screen is a mapping with `kind` and `screen`. `screen` is its number; messages from the page that refer to it repeat
-it.
+A screen is a mapping with its `kind` and its number, `screen`, which messages from the page about this screen repeat.
 
     read    html; go_on: label of the button, or null; least_s: time in s until the button works
     wait    html: a text while the participant waits for the experimenter
@@ -67,7 +66,7 @@ def trial(
     """Return the screen of a trial.
 
     `interval` counts from 1. `felt` is whether the forces are on, `asks` whether the question is shown, `withdraws`
-    whether the handle is behind a surface. `left_s` is the remaining time, `feedback` that on the previous trial.
+    whether the handle is behind a surface. `left_s` is the remaining time, `feedback` the text on the previous trial.
     """
     return {
         "kind": "trial",

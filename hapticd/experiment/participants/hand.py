@@ -1,7 +1,7 @@
 """The motions of a simulated hand: taps, strokes and presses of varied speed and depth, with tremor.
 
-A hand knows the surfaces but not their materials. Its waypoints are the reference of the simulated joystick's grip; the
-handle follows through grip and force in a closed loop.
+A hand knows the surfaces but not their materials. Its waypoints are the reference of the simulated joystick's
+grip; grip and rendered force move the handle, in a closed loop.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ RUPTURE_FORCE_DROP_N: Final = 0.4
 _MIN_LOG_ARGUMENT: Final = 1e-6
 """Lower bound of values before their logarithm or reciprocal, against infinities."""
 _CELLS_PER_M: Final = 20_000.0
-"""Resolution of the force profile along a surface."""
+"""Number of cells per metre of the profile of the force along a surface."""
 _MIN_PROFILE_CELLS: Final = 64
 """Smallest number of visited cells from which a profile is computed."""
 _FINENESS_RANGE_PER_M: Final = (60.0, 1500.0)
@@ -187,9 +187,10 @@ def fineness(felt: Samples, surface: Seen) -> float:
 
 
 def _power_along(cell: npt.NDArray[np.int64], force: Floats, count: int) -> Floats:
-    """Return the power spectrum (count,) of a force (n, 2) over the cells (n,) along a surface, summed over both axes.
+    """Return the spatial power spectrum (count,) of a force (n, 2) along a surface, summed over both axes.
 
-    The force is padded for a linear autocorrelation. For fewer cells than _MIN_PROFILE_CELLS the result is 0.
+    `cell` (n,) holds the place of each sample along the surface. The profile is padded with zeros, so that its
+    autocorrelation is linear. For fewer cells than _MIN_PROFILE_CELLS the result is 0.
     """
     size = 2 * (count - 1)
     times = np.bincount(cell, minlength=1)

@@ -56,35 +56,35 @@ class SimulatedFront:
         self._percepts: list[float] = []
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
-        """Begin immediately."""
+        """Return None: the participant begins immediately."""
         return None
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
-        """Begin the phase immediately."""
+        """Return None: the participant begins the phase immediately."""
         return None
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
-        """Enable the forces immediately."""
+        """Return None, so that the forces are switched on immediately."""
         self._percepts = []
         return None
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Move the hand out of the surfaces."""
+        """Move the hand out of the surfaces of an interval, and return None."""
         for surface in shown.surfaces_of(interval):
             stage.move(Motion(self._hand.way_out(surface)))
         return None
 
     def may_enable(self) -> Command | None:
-        """Allow the forces."""
+        """Return None: a simulated participant never forbids the forces."""
         return None
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Feel the surface of an interval."""
+        """Feel the surface of an interval, and return None."""
         self._feel(shown.surfaces[interval - 1], stage)
         return None
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
-        """Feel the surfaces of the last interval, or press, and answer."""
+        """Feel the surfaces of the last interval, and return the answer. If the motion is measured, only press."""
         if shown.kind == "measure":
             self._press(shown.surfaces[0], stage)
             return Reply(None)
@@ -96,7 +96,7 @@ class SimulatedFront:
         """Ignore that a motor task was not done."""
 
     def feedback(self, text: str, right: str | None) -> None:
-        """Learn the correct answer."""
+        """Learn the percept of the correct answer, after a trial with one stimulus."""
         if right is not None and len(self._percepts) == 1:
             self._observer.learn(self._percepts[0], right)
 
@@ -104,11 +104,11 @@ class SimulatedFront:
         """Ignore that an answer was saved."""
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """End a break immediately."""
+        """Return None: a break ends immediately."""
         return None
 
     def paused(self) -> Command | None:
-        """End a pause immediately."""
+        """Return None: a pause ends immediately."""
         return None
 
     def tell(self, line: str) -> None:

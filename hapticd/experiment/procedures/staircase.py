@@ -44,9 +44,9 @@ _THRESHOLD_COUNT: Final = 121
 _SLOPE_COUNT: Final = 15
 """Number of slopes of the grid."""
 _MAX_SPREAD_FRACTION: Final = 0.4
-"""The largest spread of the grid is one step plus this fraction of the visited range; the smallest is step / 4.
+"""The largest spread (1 / slope) of the grid is a step plus this fraction of the visited range, the smallest step / 4.
 
-A staircase on a wider function visits a wider range. In simulations 95 % intervals then cover 93 to 97 %.
+A staircase on a wider function visits a wider range. In simulations 93 to 97 % of 95 % intervals contain the threshold.
 """
 _THRESHOLD_MARGIN_FRACTION: Final = 0.5
 """Largest distance of the threshold from the visited range, as a fraction of that range."""
