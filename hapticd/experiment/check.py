@@ -62,7 +62,7 @@ class StudyReport:
     correct: str | None
     """The correct answer in words, or None if the study defines none."""
     chance: float | None
-    """Probability of a correct answer by guessing, from analysis.chance, or None. Without it answers are not tested."""
+    """Probability of a correct answer by guessing, from analysis.chance, or None: no test against it."""
     power: Power | None
     undisplayable: tuple[Problem, ...]
     """Problems that the device has with stimuli, each once with the names of these stimuli."""

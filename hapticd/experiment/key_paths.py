@@ -17,7 +17,7 @@ from hapticd.base.yaml_source import Json
 from hapticd.config.materials import shipped_materials
 
 _PATH_ELEMENT: Final = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,5}\])*)")
-"""A key with any number of indices behind it, as patches[0]."""
+"""A key with any number of indices behind it, such as patches[0]."""
 
 
 def path_of(text: str) -> Path:

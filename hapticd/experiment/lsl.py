@@ -36,7 +36,7 @@ OUTLET_BUFFER_S: Final = 60
 OUTLET_LINGER_S: Final = 0.5
 """Delay before an outlet is closed. Closing drops unsent data, and LSL does not report when everything was sent."""
 _DRAIN_TIMEOUT_S: Final = 1.0
-"""The end of a stream: telemetry is received until the daemon has been silent for this long."""
+"""A stream that ends still receives telemetry until the daemon has been silent for this long."""
 _RECEIVE_TIMEOUT_S: Final = 0.1
 """Time between two checks of the stop event and of the daemon's silence, while no message arrives."""
 

@@ -37,7 +37,7 @@ _AXIS_UNITS: Final = {True: "1 per unit of ln level", False: "1 per unit of leve
 
 
 def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """Fit a psychometric function to the answers of each condition, cell and varied quantity.
+    """Fit a psychometric function to the proportions correct of each condition, cell and varied quantity.
 
     One function is fitted to all participants together, and one to each participant.
     """
@@ -109,7 +109,7 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
 
 
 def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str, Varied], list[Row]]:
-    """Group rows by condition, cell and varied quantity, leaving out those without a level or a correct answer.
+    """Group rows by condition, cell and varied quantity. Rows that lack a level, or `correct`, are left out.
 
     Without crossed factors (trial.cross) the cell is empty.
     """

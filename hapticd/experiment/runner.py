@@ -202,7 +202,7 @@ class Session:
         return None
 
     def _phase_and_break(self, before: PlannedTrial | None, trial: PlannedTrial) -> None:
-        """Show the instructions of a new phase, and breaks. `before` is the previous trial of the run, or None."""
+        """Show the instructions of a new phase, or a due break. `before` is the previous trial of the run, or None."""
         study = self._plan.study
         if before is None or before.phase != trial.phase:
             warmup = {"practice": study.practice, "training": study.training}.get(trial.phase)

@@ -67,7 +67,7 @@ def bradley_terry(wins: npt.ArrayLike, ties: npt.ArrayLike | None = None, items:
 
 
 def _design(one: npt.NDArray[np.intp], other: npt.NDArray[np.intp], count: int, with_ties: bool) -> Floats:
-    """Return the design matrix (outcomes, pairs, parameters) of the log weights of the outcomes.
+    """Return the design matrix (outcomes, pairs, parameters) from the parameters to the log weights of the outcomes.
 
     A term that is common to all outcomes of a pair is omitted. The parameters are log s of all items except the last,
     which is 0, and with ties log v. There are 3 outcomes, or 2 without ties.

@@ -39,7 +39,7 @@ _MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Bounds (4,) of the parameters."""
+    """Lower and upper bounds (4,) of threshold, log of the slope, guess and lapse."""
 
     low: Floats
     high: Floats
@@ -140,7 +140,7 @@ def _step(
     sign: float,
     damping: Floats,
 ) -> Floats:
-    """Return the step (b, 4) of damped scoring, 0 for parameters that stay at a bound."""
+    """Return the step (b, 4) of damped Fisher scoring, 0 for parameters that stay at a bound."""
     slope = np.exp(parameters[:, SLOPE, None])
     guess, lapse = parameters[:, GUESS, None], parameters[:, LAPSE, None]
     z = sign * (positions - parameters[:, THRESHOLD, None]) * slope

@@ -247,7 +247,7 @@ class PagesFront:
         return message if isinstance(message, Command) else self._wait_to_continue("participant", "experimenter")
 
     def _too_early(self, message: _PageMessage | None) -> None:
-        """Show the remaining time to an experimenter who continues before the shortest break is over."""
+        """Show the remaining time to an experimenter who continues before the end of the shortest allowed break."""
         if message is not None and _continued(message, ("experimenter",)) is not None:
             self.tell(f"The break lasts at least {self._least_s:g} s: {math.ceil(self._left_s())} s left")
 

@@ -93,7 +93,7 @@ class StylusRelay:
         self._front, self._pages = front, pages
 
     def telemetry(self, topic: str, message: bytes) -> None:
-        """Send the position of the stylus for a state of the daemon."""
+        """Send the pages the position of the stylus in a state message of the daemon."""
         state = cast("dict[str, Any]", cast("list[Any]", messages.decode_trusted(message))[1])
         x, y = state["position_m"]
         at = drawn_at((x, y), bool(state["flags"] & Flag.CONTACT), self._front.surfaces)

@@ -11,11 +11,11 @@ from hapticd.experiment.front import Seen
 
 
 def drawn_at(position_m: tuple[float, float], touches: bool, surfaces: Sequence[Seen]) -> tuple[float, float]:
-    """Return the position in m at which to draw a handle at `position_m`: on the surface that it is below.
+    """Return the position in m at which to draw a handle at `position_m`: if it touches, on the surface above it.
 
     Of several surfaces, the nearest one along the surface is used. Beyond the end of a surface and at the side of a box
-    the stylus is drawn at the same height, so that no depth is ever visible. A handle that touches nothing is drawn at
-    its position, also behind a punctured membrane.
+    the stylus is drawn at the height of the surface, so that no depth is ever visible. A handle that touches nothing is
+    drawn at its position, also behind a punctured membrane.
     """
     x, y = position_m
     found = [(*each.from_surface(position_m), each.normal) for each in surfaces] if touches else []

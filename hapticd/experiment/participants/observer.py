@@ -88,7 +88,7 @@ class Observer:
         return ">".join(POSITION_NAMES[int(at)] for at in np.argsort(percepts)[::-1])
 
     def identify(self, percept: float, answers: tuple[Choice, ...]) -> str:
-        """Return the answer with the nearest learned percepts, or a guess if none was learned."""
+        """Return the answer whose learned percepts have the nearest mean, or a guess if none was learned."""
         known = {answer.name: self._learned[answer.name] for answer in answers if answer.name in self._learned}
         if not known:
             return self.guess(answers)
@@ -218,7 +218,7 @@ FEATURE_FUNCTIONS: Final = {"hardness": hardness, "fineness": fineness, "loudnes
 
 
 def rupture_felt_s(felt: Samples, surface: Seen) -> float | None:
-    """Return the time of the first felt fall of the force, in s since the first sample, or None."""
+    """Return the time of the first fall of the force felt as a rupture, in s since the first sample, or None."""
     if len(felt) < 3:
         return None
     period_s = _period_s(felt)
