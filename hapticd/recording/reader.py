@@ -96,7 +96,7 @@ def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Contents:
 
 
 def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Read the .npy header of a member: shape and type. Raises ValueError if they do not match the size of the data."""
+    """Read shape and type from a member's .npy header. Raises ValueError if they do not match the size of its data."""
     read_header = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
