@@ -126,7 +126,7 @@ class Offload:
             return EffectUse(held.id, held.effect.peak, held.effect.duration_s)
 
     def give(self, mode: Mode) -> None:
-        """Remove a use of a mode that was registered by `take`."""
+        """Remove one use of a mode, which `take` has registered."""
         with self._lock:
             self._uses[mode] -= 1
             if not self._uses[mode]:

@@ -100,7 +100,7 @@ class SignsStatus:
 
     @property
     def advice(self) -> str:
-        """What the user should do."""
+        """What the user should do about the problem."""
         if self.state == SignsState.WRONG:
             return SIGNS_REMEDY
         if self.state == SignsState.UNCLEAR:

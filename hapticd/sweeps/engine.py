@@ -199,7 +199,7 @@ class _Engine:
                 self.refuse(address, f"it runs hapticd {answer}, this study needs {self.version}")
 
     def refuse(self, address: str, why: str) -> None:
-        """Give a worker no more pieces, and report the reason once."""
+        """Exclude a worker from further pieces, and report the reason once."""
         if address not in self.refused:
             self.refused.add(address)
             self.note(f"worker {address} is not used: {why}")

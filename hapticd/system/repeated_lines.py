@@ -34,7 +34,7 @@ _log = logging.getLogger("hapticd")
 
 @dataclass(frozen=True, slots=True)
 class Since:
-    """The sum that a line reports: the number of lines, the time and the amounts since the previous line of its kind."""
+    """The sum that a line reports: number of lines, time and amounts since the previous line of its kind."""
 
     times: int = 1
     """Number of lines that this one stands for, itself included."""

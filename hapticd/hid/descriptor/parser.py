@@ -224,7 +224,7 @@ class _Locals:
     in_set: bool = False
     """Whether a set of alternative usages is open (Delimiter)."""
     has_preferred: bool = False
-    """Whether the first usage of that set has been read."""
+    """Whether the preferred usage of that set, which is its first, has been read."""
 
 
 # Names of the main, global and local items by their tags (chapters 6.2.2.4, 6.2.2.7 and 6.2.2.8).
@@ -402,7 +402,7 @@ class _Parser:
                 self._take_usage(_Usage(first.first, last.first, last.page))
 
     def _take_usage(self, usage: _Usage) -> None:
-        """Add a usage, unless it is an alternative to the preferred usage of its set."""
+        """Add a usage, unless a preferred alternative to it was already read."""
         local = self._local
         if not local.in_set or not local.has_preferred:
             local.usages.append(usage)
