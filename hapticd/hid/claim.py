@@ -28,8 +28,7 @@ from hapticd.base.files import check_regular
 from hapticd.hid.discovery import Found, event_nodes, is_open_to_others
 
 CLAIM_RULES_PATH: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
-"""udev reads it after 70-uaccess, which tags joysticks for the user at the seat, and before 73-seat-late, which
-grants that user access to tagged devices."""
+"""Sorts after 70-uaccess, which tags joysticks for the user at the seat, and before 73-seat-late, which uses tags."""
 GENERIC_DRIVER: Final = "hid-generic"
 REBIND_TIMEOUT_S: Final = 5.0
 """After a device was bound to a driver, its hidraw node must exist within this time."""

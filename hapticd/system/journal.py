@@ -168,8 +168,7 @@ class EventLog:
     ) -> None:
         """Create the log of events.
 
-        `missing` returns whether the system refused real-time rights that the servo requested; `rate_hz` returns the
-        servo's present rate.
+        `missing` returns whether requested real-time rights were refused; `rate_hz` returns the servo's present rate.
         """
         self._repeats = Repeats(now_s)
         self._missing, self._rate_hz = missing, rate_hz

@@ -264,8 +264,7 @@ def constant_force_report(
 ) -> Message:
     """Return the report Set Constant Force for an effect; if `effect` is None, for a force of zero.
 
-    The magnitude is the force along the effect's axis times the first of `factors`, plus the force along the other
-    axis times the second (see `force_factors`).
+    Its magnitude is computed with the two `factors` as `force_factors` describes.
     """
     force = layout.constant_force
     assert force is not None

@@ -25,8 +25,7 @@ def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_],
     """Return the largest energy that one contact had given at any tick, a partial sum of f.(x' - x), in J, at least 0.
 
     The force f acts while the position changes from x to x'; the force of the last tick acts after the contact.
-    `force_n` and `position_m` have shape (n, 2), `touched` (n,). Two contacts count as one if the gap between them is
-    at most `max_gap_ticks`.
+    `force_n` and `position_m` have shape (n, 2), `touched` (n,). Gaps of at most `max_gap_ticks` end no contact.
     """
     steps = np.zeros(len(force_n))
     steps[1:] = (force_n[:-1] * np.diff(position_m, axis=0)).sum(1)

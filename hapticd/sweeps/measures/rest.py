@@ -25,8 +25,7 @@ class RestOptions(Model):
 class Rest:
     """How the motion of the closed loop ends, without vibration (hapticd.rendering.end_state).
 
-    The column `end` is `rests`, `cycles` or `grows`; it is `falls` if the energy of the motion still fell after
-    `longest_s`.
+    The column `end` is `rests`, `cycles`, `grows`, or `falls` if the energy of the motion still fell after `longest_s`.
     `rests` is true if `end` is `rests`; `decays` is true if `end` is `rests` or `falls`. Use `decays` to search the
     boundary of stability, close to which a motion takes long to come to rest.
     """
