@@ -19,7 +19,7 @@ _MAX_LISTED_NAMES: Final = 4
 
 
 def _evaluated_devices(machine: Machine, needs: Needs) -> list[Found]:
-    """Return the HID devices, evaluated by the configuration of the joystick if there is one."""
+    """Return the HID devices, each with its verdict for the configured joystick if `needs` has one."""
     devices = machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
     return devices if needs.device is None else [device.evaluated_by(needs.device) for device in devices]
 
@@ -31,7 +31,7 @@ def _drivable_devices(machine: Machine, needs: Needs) -> list[Found]:
 def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
     """Check the permission of each joystick that can be driven.
 
-    A joystick with force feedback that cannot be driven is a warning; if the configuration names it, a failure.
+    A joystick with force feedback that cannot be driven yields a warning, or a failure if the configuration names it.
     """
     devices = _evaluated_devices(machine, needs)
     if not any(device.usable for device in devices):

@@ -57,7 +57,7 @@ def fail(name: str, what: str, todo: str) -> Finding:
 
 
 def unknown(name: str, why: str) -> Finding:
-    """Return a warning that a check has no result; `why` says which source is missing."""
+    """Return a warning that a check could not find out its result; `why` says which source is missing."""
     return Finding(name, "warn", f"not known: {why}")
 
 
@@ -72,7 +72,7 @@ class Needs:
     """The configuration of the HID joystick; None if the configuration drives no HID joystick."""
 
     def verdict_without_realtime(self) -> Verdict:
-        """Return the verdict of a check by which real-time scheduling is unavailable."""
+        """Return the verdict of a check which finds that real-time scheduling is unavailable."""
         return {"required": "fail", "preferred": "warn", "off": "ok"}[self.realtime]  # type: ignore[return-value]
 
 

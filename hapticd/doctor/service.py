@@ -18,7 +18,7 @@ _JOURNAL_HINT = "journalctl -u hapticd shows why"
 
 
 def configuration(chosen: ConfigFiles) -> tuple[Config, Finding]:
-    """Return the configuration and its finding; after an error, the built-in configuration and a failure."""
+    """Return the chosen configuration and an ok; if it cannot be loaded, the built-in configuration and a failure."""
     from hapticd.config.configuration import chosen_config, default_config
 
     try:

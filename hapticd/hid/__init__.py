@@ -5,12 +5,12 @@ From a plugged-in device to a force, in this order:
     discovery           lists the HID devices of sysfs, and chooses the one that the configuration selects
     descriptor/         parses report descriptors: items, fields, reports and axes
     verdict             decides whether a device can be driven, and why not; every command uses this decision
-    drivers/            set-up and plan for each class of devices
+    drivers/            for each class of devices, the set-up and the plan (see `plan` below)
         pid             set-up of the PID class: reset, creation of effects, start with a force of zero
         pid_plan        the plan of the PID class: two effects, one effect with a direction, or one axis
         pid_reports     encodes directions and reports: Set Effect, Set Constant Force, Effect Operation, ...
         vendor          devices with vendor reports, as device.hid.report describes them
-    plan                the plan of a connection as data, passed to C as struct hd_hid_plan
+    plan                where positions are in reports, and which reports carry forces, as struct hd_hid_plan for C
     sources             opens the device of a configuration: a hidraw node or a recording
     device              access to an open device: output reports, feature reports, input reports
     replay              a recording that is played as a device

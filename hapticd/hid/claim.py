@@ -5,11 +5,11 @@ the PID class, and so do the drivers of vendors. Other programs use the device's
 claimed in three steps:
 
 1. A udev rule below /run, for this device only, gives these nodes to root; it lasts until a reboot.
-2. The device is unbound from its driver. Programs that have one of its nodes open lose it.
-3. The device is bound to hid-generic, or, if a vendor's driver claims it, to that driver. This creates the nodes again,
-   open to root only from the start.
+2. The device is unbound from its driver. A program that has one of the nodes open loses this node.
+3. The device is bound to hid-generic, or, if a vendor's driver claims it, to that driver. The driver creates the nodes
+   again, and the rule lets only root open them from the start.
 
-To release a device, the rule is removed, and the device is bound again to the driver that the kernel chooses.
+`release` removes the rule, and binds the device again to the driver that the kernel chooses.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hapticd.base.files import check_regular
 from hapticd.hid.discovery import Found, event_nodes, is_open_to_others
 
 CLAIM_RULES_PATH: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
-"""Sorts after 70-uaccess, which tags joysticks for the user at the seat, and before 73-seat-late, which applies it."""
+"""Sorts after 70-uaccess, which tags joysticks for the user at the seat, and before 73-seat-late, which uses tags."""
 GENERIC_DRIVER: Final = "hid-generic"
 REBIND_TIMEOUT_S: Final = 5.0
 """After a device was bound to a driver, its hidraw node must exist within this time."""
@@ -130,7 +130,7 @@ class Claims:
     def _rebind(self, found: Found, before: Sequence[str], after: Sequence[str], driver: str | None) -> str:
         """Write the rules of the devices `after`, bind a device to another driver, and return the driver's name.
 
-        If that fails, the rules of the devices `before` are restored. If `driver` is None, the kernel chooses.
+        If that fails, the rules of the devices `before` are restored. If `driver` is None, the kernel chooses one.
         """
         name = found.hid_name
         try:

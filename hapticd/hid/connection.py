@@ -29,9 +29,10 @@ RECONNECT_INTERVAL_S: Final = 0.25
 READY_TIMEOUT_S: Final = 0.25
 """After a device was set up again, its actuators must be on within this time."""
 READY_POLL_INTERVAL_S: Final = 0.02
-"""Interval of the checks whether the actuators are on. The first check waits as long for reports about the set-up."""
+"""Interval of the checks whether the actuators are on. It also passes before the first check, because the device
+reports the reset that is part of a set-up."""
 FIRST_REPORTS_TIMEOUT_S: Final = 0.15
-"""A device that sends the same input report twice within this time reports steadily.
+"""A device that sends the same input report twice within this time also reports while nothing changes.
 
 `start` waits at most this time for the first position."""
 PLAYING_REPORT_TIMEOUT_S: Final = 1.0
@@ -73,13 +74,13 @@ class _LiveConnection:
     plan: Plan
     link: Link
     since_s: float
-    """Value of time.monotonic() at which it was connected."""
+    """Value of time.monotonic() when the device was connected."""
 
     def resets_seen(self, has_played: bool) -> bool | None:
         """Return whether a reset by another program would be noticed.
 
-        None means that it is not known yet, or that the device keeps no effects. `has_played` is whether the device has
-        reported that one of hapticd's effects plays.
+        Returns None if this is not known yet, or if the device keeps no effects. `has_played` says whether the device
+        has reported that one of hapticd's effects plays.
         """
         if self.plan.foreign_s is None:
             return None
@@ -165,7 +166,7 @@ class Connection:
         lib.hd_hid_suspect(self.hid)
 
     def status(self) -> dict[str, object]:
-        """Return the member `connection` of get_status."""
+        """Return the map that get_status contains as its member `connection`."""
         live, raw = self._live, self._raw()
         states = {
             meaning.name.lower(): bool(raw.states >> (meaning - 1) & 1)
@@ -310,10 +311,10 @@ class Connection:
             raise DeviceError(f"{device.path}: cannot connect: {Status(result).name.lower()}")
 
     def _recover(self) -> None:
-        """Set up a device again that was reset.
+        """Set up the device again after a reset.
 
-        If the plan is the same, with the same Effect Block Indices, C keeps the connection, and only the forces in
-        between are lost. The set-up is repeated as long as the device keeps its actuators off.
+        If the plan is the same, with the same Effect Block Indices, C keeps the connection, and only the forces during
+        the set-up are lost. The set-up is repeated as long as the device keeps its actuators off.
         """
         live = self._live
         assert live is not None
@@ -370,7 +371,7 @@ def _disconnect_reason(raw: CData) -> str:
 def _reports_steadily(device: Device, numbered: bool, stop: threading.Event) -> bool:
     """Return whether a device sends the same input report twice in succession.
 
-    Such a device reports steadily, so a pause in its reports is a fault.
+    Such a device also reports while nothing changes, so a pause in its reports is a fault.
     """
     last: dict[int, bytes] = {}
     deadline = time.monotonic() + FIRST_REPORTS_TIMEOUT_S

@@ -28,7 +28,7 @@ class Device(Protocol):
 
     @property
     def path(self) -> str:
-        """Its hidraw node, or the file of the recording."""
+        """Path of the device's hidraw node, or of the recording that is played."""
         ...
 
     def fileno(self) -> int:
@@ -48,7 +48,7 @@ class Device(Protocol):
         ...
 
     def listen(self, timeout_s: float) -> bytes:
-        """Return the next input report, which `fileno` also provides; empty if none arrives within the time."""
+        """Return the next input report, which `fileno` also provides; empty if none arrives within `timeout_s`."""
         ...
 
     def close(self) -> None:
@@ -138,7 +138,7 @@ class HidrawDevice:
             raise DeviceError(f"{self._path}: cannot get feature report {report_id}: {reason}") from None
 
     def listen(self, timeout_s: float) -> bytes:
-        """Return the next input report; empty if none arrives within the time."""
+        """Return the next input report; empty if none arrives within `timeout_s`."""
         try:
             return bytes(self._hidapi.read(MAX_REPORT_BYTES, max(1, round(1e3 * timeout_s))))
         except OSError:

@@ -17,7 +17,7 @@ def offload_text(outcome: Mapping[str, object]) -> str:
 def unseen_reset_text(node: str, foreign_s: object = None) -> tuple[str, str]:
     """Return the condition and the remedy for a device that does not report which of its effects play.
 
-    `foreign_s` is the longest time, in s, that another program's effect can replace hapticd's; None if it is not known.
+    `foreign_s` is the longest time, in s, that another program's effect can replace hapticd's effect; None if unknown.
     """
     lasts = f"; an effect that it uploads lasts up to {1e3 * foreign_s:.0f} ms" if isinstance(foreign_s, float) else ""
     return (

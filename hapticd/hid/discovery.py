@@ -67,9 +67,9 @@ class Found:
 
     @property
     def resets_seen(self) -> bool | None:
-        """Whether its PID State report contains the effects that play, so that a reset by another program is noticed.
+        """Whether its PID State report shows which effects play, so that hapticd notices a reset by another program.
 
-        None if it cannot be driven, or has no effects (vendor reports). A device may declare PID State in its
+        None if the device cannot be driven, or has no effects (vendor reports). A device may declare PID State in its
         descriptor and never send it.
         """
         plan = self.verdict.plan
@@ -80,7 +80,7 @@ class Found:
 
     @property
     def identity(self) -> str:
-        """Text that distinguishes it from other devices; without a serial number it includes the port."""
+        """Text that distinguishes this device from others; without a serial number it includes the port."""
         return f"{self.vendor:04x}:{self.product:04x} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
 
     @property

@@ -1,7 +1,7 @@
 """The rate at which a device accepts forces, and the interval at which its effects are restored.
 
-Another program may reset the device and upload its own effect under the Effect Block Index of one of hapticd's. A
-device that reports which effects play shows this. To any other device all parameters of hapticd's effects are sent
+Another program may reset the device and upload its own effect under the Effect Block Index of one of hapticd's effects.
+A device that reports which effects play reveals this. To any other device hapticd sends all parameters of its effects
 repeatedly: magnitude and start with every renewal; direction, type, gain, duration and envelope by the messages
 `restore` of the plan.
 """
@@ -19,11 +19,11 @@ from hapticd.hid.device import Device
 from hapticd.hid.plan import Plan
 
 MAX_FOREIGN_EFFECT_S: Final = 0.1
-"""Target for the longest time that another program's effect can replace hapticd's; a slow link takes longer."""
+"""Target for the longest time that another program's effect can replace hapticd's effect; a slow link takes longer."""
 MAX_RESTORE_SHARE: Final = 1 / 3
 """Largest share of the link's reports that is spent on restoring effects."""
 WRITER_DELAY_S: Final = 0.005
-"""Added to `foreign_s`, because the operating system may delay the writer thread by this time."""
+"""Time added to `foreign_s`, because the operating system may delay the writer thread by up to this time."""
 _MAX_MEASURED_FORCES: Final = 8
 """Largest number of forces that are sent to measure their time."""
 _MEASUREMENT_TIMEOUT_S: Final = 0.05
@@ -38,11 +38,11 @@ class Link:
     """
 
     endpoint_hz: float | None
-    """Limit by the interval of the endpoint."""
+    """Limit that follows from the interval of the endpoint."""
     measured_hz: float | None
     """Rate that was measured during set-up."""
     limit_hz: float | None
-    """Limit by the configuration (`max_rate_hz`)."""
+    """Limit that the configuration sets (`max_rate_hz`)."""
 
     @property
     def rate_hz(self) -> float | None:
@@ -81,7 +81,7 @@ def measured_force_hz(device: Device, plan: Plan) -> float | None:
 def plan_paced_for_link(plan: Plan, force_hz: float | None) -> Plan:
     """Return the plan with `restore_s` and `foreign_s` for a link that carries `force_hz` forces a second.
 
-    None means that the link has no limit.
+    If `force_hz` is None, the link has no limit.
     """
     if plan.foreign_s is None:
         return plan

@@ -1,10 +1,10 @@
 """Finds the device effect that is nearest to a mode.
 
-A periodic effect of the PID class, here a sine, has a period and an envelope of straight lines: it begins with the
-attack level, has the magnitude after the attack time, and reaches the fade level during the fade time, which ends with
-the effect. Levels are absolute, as in DirectInput's DIENVELOPE and Linux' struct ff_envelope. Times are integer counts
-of the device's unit. For each choice of times, non-negative least squares give the levels; the choice with the smallest
-error is the nearest effect.
+A mode is a decaying sinusoid, the vibration of a tap or rupture. A periodic effect of the PID class, here a sine, has a
+period and an envelope of straight lines: it begins with the attack level, has the magnitude after the attack time, and
+reaches the fade level during the fade time, which ends with the effect. Levels are absolute, as in DirectInput's
+DIENVELOPE and Linux' struct ff_envelope. Times are integer counts of the device's unit. For each choice of times,
+non-negative least squares give the levels; the choice with the smallest error is the nearest effect.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from hapticd.hid.plan import Numbers, Scale
 from hapticd.rendering.displayability import DISPLAYABLE_RATE_FRACTION
 
 MAX_EFFECT_S: Final = 0.1
-"""Longest duration of an effect. If the daemon is killed, nothing else ends the effect."""
+"""Longest duration of an effect. If the daemon is killed, an effect ends only by its duration."""
 COMPARED_DECAY_TIMES: Final = 6.0
 """Effect and mode are compared over this many decay times of the mode."""
 TRIED_TIMES: Final = 50
-"""About this many values are tried for each time of the envelope; all, if it has fewer counts."""
+"""About this many values are tried for each time of the envelope; if the time has fewer counts, all of them."""
 _SAMPLES_PER_CYCLE: Final = 24
 """Effect and mode are compared at this many samples per cycle, within the two limits below."""
 _MIN_COMPARED_SAMPLES: Final = 3000
@@ -110,7 +110,7 @@ def nearest_effect(mode: Mode, numbers: Numbers) -> NearestEffect | None:
 
 
 def streamed_error(mode: Mode, carried_hz: float) -> float:
-    """Return the relative RMS error of a mode that is streamed: its force is held constant between two forces.
+    """Return the relative RMS error of a mode that is streamed: sent as forces, each of which is held until the next.
 
     It is sqrt(2 - 2 sin(h) / h) with h = w / (2 rate) and the mode's angular frequency w, the error of a steady sine
     after its delay is removed. For a frequency above 0.4 of the rate, which is muted or replaced, it is 1.
@@ -203,7 +203,7 @@ def _non_negative_levels(gram: _Floats, product: _Floats) -> _Floats:
 
 
 def _rounded_levels(levels: _Floats, numbers: Numbers) -> _Floats:
-    """Return the levels, rounded as the device's counts of the strongest possible strike round them."""
+    """Return the levels as the device plays them in the strongest possible strike, rounded to its counts."""
     full_n = max_coefficient_n(float(levels.max()), numbers)
     scales = (numbers.attack_level, numbers.magnitude, numbers.fade_level)
     shown = [scale.quantity(scale.counts(level * full_n)) for scale, level in zip(scales, levels, strict=True)]

@@ -1,7 +1,7 @@
 """Assigns device effects to modes, and reports for each tap and rupture whether the device plays it.
 
-nearest_effect.py finds the nearest effect to a mode. Two threads use `Offload`: the one that changes the scene, and the
-connection's.
+A mode without an effect is streamed: hapticd computes it and sends it as part of the force. nearest_effect.py finds the
+nearest effect to a mode. Two threads use `Offload`: the one that changes the scene, and the connection's.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Offloaded:
     error_percent: float | None
     streamed_error_percent: float
     refused: str | None
-    """Why it is streamed; None if the device plays it."""
+    """Why the mode is streamed; None if the device plays it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ class Offload:
             return EffectUse(held.id, held.effect.peak, held.effect.duration_s)
 
     def give(self, mode: Mode) -> None:
-        """Remove a use of a mode that was registered by `take`."""
+        """Remove one use of a mode, which `take` has registered."""
         with self._lock:
             self._uses[mode] -= 1
             if not self._uses[mode]:
@@ -264,7 +264,7 @@ def _for_c(held: _AssignedEffect, periodic: Periodic) -> dict[str, object]:
 def effect_messages(shape: NearestEffect, periodic: Periodic, place: int) -> tuple[Message, ...]:
     """Return Set Effect, Set Envelope, Set Periodic and the start (Effect Operation) of the device's effect `place`.
 
-    These messages take the mode's coefficient, as a vector, as their force.
+    The force that is written into these messages is the mode's coefficient as a vector.
     """
     numbers, block = periodic.numbers, periodic.blocks[place]
     effect, envelope, period = bytearray(block.set_effect.data), bytearray(block.envelope), bytearray(block.periodic)

@@ -138,8 +138,8 @@ class PlayingBits:
     indices: tuple[int, ...]
     """Effect Block Indices of hapticd's effects."""
     proof: int
-    """If an effect is reported as playing over this many renewals, which outlast it, each reported loss of an effect
-    counts; otherwise only the first."""
+    """If a device reports that an effect plays over this many renewals, which take longer than the effect's duration,
+    each loss of an effect that it reports counts; otherwise only the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,16 +211,16 @@ class Plan:
     x: AxisPlan
     y: AxisPlan
     force: tuple[Message, ...]
-    """Sent for each new force, in this order."""
+    """Messages for each new force, sent in this order."""
     renew: tuple[Message, ...]
-    """Sent every `renew_s`."""
+    """Messages that are sent every `renew_s`."""
     stop: tuple[Message, ...]
-    """Sent at an orderly end, after a force of zero."""
+    """Messages that are sent at an orderly end, after a force of zero."""
     begin: tuple[Message, ...] = ()
-    """Sent once, before the first force."""
+    """Messages that are sent once, before the first force."""
     restore: tuple[Message, ...] = ()
-    """Reports with the parameters of effects that another program may have changed. Sent one at a time, in turn, to a
-    device that does not report which effects play."""
+    """Messages with the parameters of effects that another program may have changed. They are sent one at a time, in
+    turn, to a device that does not report which effects play."""
     effects: PlayingBits | None = None
     """The fields by which the device reports the loss of an effect; None if it does not report this."""
     states: tuple[StateBit, ...] = ()
@@ -231,7 +231,7 @@ class Plan:
     """Interval between two messages of `restore`."""
     foreign_s: float | None = None
     """The longest time, in s, that another program's effect can replace hapticd's, if the device does not report which
-    effects play. Before `link.plan_paced_for_link` it includes the renewals only. None without effects."""
+    effects play; None without effects. Until `link.plan_paced_for_link` sets it, it accounts for renewals only."""
     write_interval_s: float = 0.0
     """Shortest interval between two output reports; 0 means as fast as the device accepts them."""
     periodic: Periodic | None = None

@@ -162,7 +162,7 @@ class ReplayDevice:
         raise DeviceError(f"{self.path}: a recording has no feature report {report_id}")
 
     def listen(self, timeout_s: float) -> bytes:
-        """Return b"": `Recording.on_change` knows whether reports are steady."""
+        """Return b"": `Recording.on_change` shows without listening whether the device reports only changes."""
         return b""
 
     def close(self) -> None:

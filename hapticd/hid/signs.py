@@ -1,4 +1,7 @@
-"""Parameters, status and log of the check of signs before the first force of the scene (csrc/device/hd_signs.h)."""
+"""Parameters, state and log of the check, before the scene's first force, of a device's signs (csrc/device/hd_signs.h).
+
+The signs are right if a force along an axis moves the handle along the same axis, in the same direction.
+"""
 
 from __future__ import annotations
 
@@ -91,13 +94,13 @@ class SignsStatus:
 
     @property
     def seen(self) -> str | None:
-        """A text that says what is wrong with the signs or prevents the check; None without a problem."""
+        """A text that says what is wrong with the signs, or what prevents the check; None without a problem."""
         seen = _PROBLEM_TEXTS.get(self.problem)
         return None if seen is None else seen.format(axis=self.axis, other="y" if self.axis == "x" else "x")
 
     @property
     def advice(self) -> str:
-        """What the user should do."""
+        """What the user should do about the problem."""
         if self.state == SignsState.WRONG:
             return SIGNS_REMEDY
         if self.state == SignsState.UNCLEAR:

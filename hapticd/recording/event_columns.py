@@ -144,7 +144,7 @@ def rows_of(events: Iterable[Mapping[str, Any]], columns: list[Column]) -> Itera
 
 @lru_cache
 def members_of(event: str) -> frozenset[str] | None:
-    """Return the members of events of a kind; None for an unknown kind."""
+    """Return the names of the members of events of this kind; None for an unknown kind."""
     from hapticd.base.core import EVENT_DTYPE, EventKind, records
     from hapticd.protocol.events import event_map
 
@@ -183,7 +183,7 @@ def _values(column: npt.NDArray[Any]) -> list[Any]:
 
 
 def _is_absent(name: str, form: str, value: Any) -> bool:
-    """Return whether a cell may hold the reserved value of a missing member; 0 may also be a true value."""
+    """Return whether a cell may stand for a missing member; the reserved value 0 may also be the member's own value."""
     match form[0]:
         case "U":
             return bool(value == "")

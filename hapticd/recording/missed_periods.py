@@ -41,7 +41,7 @@ def missed_periods(
 def rates_of(
     samples: npt.NDArray[np.void], changes: Iterable[Mapping[str, Any]], rate_hz: float
 ) -> npt.NDArray[np.float64]:
-    """Return the servo rate at each sample, shape (n,), from the rate at the start and the text `changes`."""
+    """Return the servo rate at each sample, shape (n,), from the rate at the start and a recording's `changes`."""
     rates = np.full(len(samples), float(rate_hz))
     for change in changes:
         if "rate_hz" in change:
@@ -51,7 +51,7 @@ def rates_of(
 
 
 def gaps_of(ticks: npt.NDArray[np.int64], before: int | None = None) -> list[tuple[int, int]]:
-    """Return the first missing tick of each gap, and their number. `before` is the tick before `ticks`."""
+    """Return first missing tick and number of missing ticks of each gap. `before` is the tick before `ticks`."""
     steps = np.diff(ticks, prepend=ticks[:1] - 1 if before is None else before)
     return [(int(ticks[place] - steps[place] + 1), int(steps[place]) - 1) for place in np.flatnonzero(steps > 1)]
 

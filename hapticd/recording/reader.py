@@ -1,6 +1,6 @@
 """Reader of recordings. Samples are mapped into memory, not copied. The error of a damaged file is one line.
 
-The size in the header of a member is compared with the size of the archive before memory is allocated.
+Before memory is allocated, the size in the header of each array of the archive is compared with the archive's size.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _READ_BLOCK_BYTES: Final = 1 << 20
 _MAX_REASON_CHARACTERS: Final = 200
 """Length in characters at which the reason is cut in the error of a damaged file."""
 _MAX_UNPACKED_BYTES, _MAX_COMPRESSION_RATIO = 2**30, 32
-"""A member may take 1 GiB, or 32 times its compressed size if this is more."""
+"""A member of the archive may take 1 GiB, or 32 times its compressed size if this is more."""
 _MAP_NORESERVE: Final = 0x4000
 """MAP_NORESERVE of Linux, which Python 3.11 does not define. With it a mapped file may be larger than the memory."""
 _LOCAL_HEADER: Final = struct.Struct("<4s22xHH")
@@ -96,7 +96,7 @@ def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Contents:
 
 
 def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Read the .npy header of a member: shape and type. Raises ValueError if they do not match the size of the data."""
+    """Read shape and type from a member's .npy header. Raises ValueError if they do not match the size of its data."""
     read_header = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,

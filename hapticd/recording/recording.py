@@ -75,7 +75,7 @@ class Recording:
 
     @property
     def status(self) -> dict[str, Any]:
-        """Result of get_status at the start; in a file of the flight recorder, when it was written.
+        """Result of get_status at the start; in a file of the flight recorder, at the time when the file was written.
 
         Empty if no daemon was recorded.
         """
@@ -89,7 +89,7 @@ class Recording:
 
     @property
     def notes(self) -> dict[str, Json]:
-        """Notes: from `--note` as texts, from `daemon.record(path, trial=3)` with their types."""
+        """The user's notes: from `--note` as texts, from `daemon.record(path, trial=3)` with their types."""
         notes = self._about.get("notes")
         return dict(notes) if isinstance(notes, dict) else {}
 
@@ -100,7 +100,7 @@ class Recording:
 
     @property
     def ended(self) -> Moment | None:
-        """The daemon's clocks when the recording ended, if they were read."""
+        """The daemon's clocks when the recording ended; None if they were not read."""
         return moment_of(self._about.get("ended"))
 
     @property

@@ -52,7 +52,7 @@ _REASON_OF_LEFT_OUT: Final = {
     "streamed": "with a streamed force",
     "begun_before": "with an unknown state",
 }
-"""Text of a summary for each key of `Replay.left_out`."""
+"""Text for each key of `Replay.left_out` in a summary."""
 _UNSETTLED_FLAGS: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
 """Flags of a tick whose state depends on earlier ticks."""
 _MAX_PERIODS: Final = 0xFFFFFFFF
@@ -61,7 +61,7 @@ _MAX_PERIODS: Final = 0xFFFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Maximum and RMS of the magnitude of the difference between recorded and rendered force, in N."""
+    """Maximum and RMS, in N, of the magnitude of the recorded force minus the rendered one."""
 
     largest_n: float
     rms_n: float
@@ -94,7 +94,7 @@ class Replay:
     doubts: tuple[str, ...]
     """Possible reasons for different forces; empty if all forces are identical."""
     settled: bool
-    """False if the state is not known at any tick; then nothing is assumed to act before the recording begins."""
+    """Whether the state is known at some tick; if not, it is assumed that nothing acted before the recording began."""
     texts: Mapping[str, Any]
     """Texts of the recording; see `hapticd.Recording`."""
     source: str | os.PathLike[str]
@@ -329,7 +329,7 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> It
 
 
 def _change_scene(rerun: Rerun, revisions: list[_Revision], index: int, to: int) -> int:
-    """Change the scene from `revisions[index]`, or none if `index` is negative, to `revisions[to]`. Return `to`."""
+    """Change the scene to `revisions[to]`, from `revisions[index]` or, if it is negative, from none; return `to`."""
     if to > index:
         changed = [id for revision in revisions[index + 1 : to + 1] for id in revision.changed]
     else:
@@ -346,7 +346,7 @@ def _change_scene(rerun: Rerun, revisions: list[_Revision], index: int, to: int)
 def _segments(
     samples: Samples, rates_hz: npt.NDArray[np.float64], known: npt.NDArray[np.bool_], texts: Mapping[str, Any]
 ) -> tuple[list[tuple[slice, bool]], bool]:
-    """Return segments of consecutive ticks, each with whether its command begins at zero, and `settled`.
+    """Return segments of consecutive ticks, and `settled`. Each has a flag: whether the commanded force begins at zero.
 
     `settled` is whether the state is known at the beginning of the segments.
     """

@@ -117,7 +117,7 @@ class RecordingWriter:
     def begin(self, texts: Texts, about: Texts | None = None) -> None:
         """Write texts that are known at the start; `about` has the known members of the text `recording`.
 
-        A recovered recording holds them, too.
+        A recovered recording holds these texts, too.
         """
         self.texts, self.about = dict(texts), dict(about or {})
         self._note("texts", self.texts)
@@ -183,7 +183,7 @@ class RecordingWriter:
     # ---- The archive -------------------------------------------------------------------------------------------------
 
     def _leave_room(self, start: int | None = None) -> None:
-        """Reserve room for the headers; `start` is the offset of the samples in a resumed file."""
+        """Reserve room for the headers in front of the samples; `start` is the samples' offset in a resumed file."""
         outer = len(_zip_info(0, 0).FileHeader(zip64=True))
         least = outer + len(_npy_header(self._dtype, 10**18))
         self._start = least + -least % _SAMPLE_ALIGNMENT_BYTES if start is None else max(start, least)

@@ -55,7 +55,7 @@ class Progress:
     done: int
     total: int
     failed: int
-    """Computed points whose row has an error."""
+    """Points that were computed and whose row has an error."""
     left_s: float | None
     """Estimated remaining time; None if it is unknown."""
 
@@ -138,7 +138,7 @@ class _Engine:
     to_retry: deque[Indices] = field(default_factory=deque)
     """Pieces that have to be computed again."""
     suspects: deque[Indices] = field(default_factory=deque)
-    """Points whose worker ended, perhaps because of another piece. Each is computed again, alone, at the end."""
+    """Points whose worker ended, perhaps because of another piece. At the end each is computed in its own piece."""
     trying_suspect: bool = False
     submitted: dict[Any, _SubmittedPiece] = field(default_factory=dict)
     """Submitted pieces by their futures."""
@@ -199,7 +199,7 @@ class _Engine:
                 self.refuse(address, f"it runs hapticd {answer}, this study needs {self.version}")
 
     def refuse(self, address: str, why: str) -> None:
-        """Give a worker no more pieces, and report the reason once."""
+        """Exclude a worker from further pieces, and report the reason once."""
         if address not in self.refused:
             self.refused.add(address)
             self.note(f"worker {address} is not used: {why}")
@@ -250,7 +250,7 @@ class _Engine:
             future.add_done_callback(self.finished.put)
 
     def cancel_stranded(self, workers: frozenset[str]) -> None:
-        """Cancel pieces whose allowed workers have all left; dask would keep them until one returns."""
+        """Cancel pieces whose allowed workers have all left; dask would keep them until such a worker returns."""
         for future, piece in list(self.submitted.items()):
             if piece.workers is not None and not piece.workers & workers:
                 self.client.cancel([future], force=True)
@@ -292,7 +292,7 @@ class _Engine:
             raise_interrupt(self.interrupted)
 
     def write_unwritten(self) -> None:
-        """Write the rows that could not be written before. Raises HapticdError if they still cannot."""
+        """Write the rows that could not be written before. Raises HapticdError if writing fails again."""
         if not self.unwritten:
             return
         try:

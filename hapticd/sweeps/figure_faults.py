@@ -18,7 +18,7 @@ _DRAWN_AS_NUMBERS: Final = ("number", "integer", "boolean")
 
 
 def figure_faults(study: SweepStudy, columns: Sequence[Column], axes: Sequence[Axis]) -> list[tuple[Path, str]]:
-    """Return the faults of `figures` and `labels`, each with its path in the study."""
+    """Return the faults of the keys `figures` and `labels`, each with its path in the study."""
     known = {column.name: column for column in columns}
     values = {axis.name: [shown_value(value, axis.kind) for value in axis.plain_values] for axis in axes}
     faults: list[tuple[Path, str]] = [

@@ -1,6 +1,6 @@
 """The keys of `figures` in the YAML file of a sweep.
 
-hapticd.sweeps.figure_faults compares them with the columns of the study.
+hapticd.sweeps.figure_faults checks them against the columns of the study.
 """
 
 from __future__ import annotations

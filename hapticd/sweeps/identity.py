@@ -1,4 +1,4 @@
-"""The identity of a point: 16 bytes, which are equal for two points of any studies if their results must be equal.
+"""The identity of a point: 16 bytes, which are equal for two points, even of two studies, if their results must be so.
 
 It is the hash of a document, which is JSON data with everything that the result depends on. A leaf of a document is a
 path with the scalar at this path. Its hash is the BLAKE2b hash of path and value, as two integers modulo 2**64. The

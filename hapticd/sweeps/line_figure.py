@@ -128,7 +128,7 @@ def _draw_boundary(
 
 
 def _draw_overlays(axes: Axes, results: Results, keys: SweepFigure, lines: Sequence[_Line], x: Scale, y: Scale) -> None:
-    """Draw an overlay as one dashed line if all lines have the same, otherwise as one in the color of each line."""
+    """Draw each overlay column as one dashed line if it is equal for all lines, else as one in each line's color."""
     assert keys.x is not None
     for name in keys.overlay or ():
         each = [(x.at([row[keys.x] for row in line.rows]), y.at([row[name] for row in line.rows])) for line in lines]

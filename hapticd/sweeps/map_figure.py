@@ -46,7 +46,7 @@ _MAX_INTEGER_COLORS: Final = 12
 _MAX_VECTOR_CELLS: Final = 5000
 """A map with more cells or dots is drawn as one raster image in an SVG."""
 _OVERLAY_TOLERANCE: Final = 1e-9
-"""Relative difference up to which two values of an overlay at one x are equal."""
+"""Relative difference up to which two values of an overlay column at one x count as equal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +207,7 @@ def _draw_cells(
 
 
 def _draw_overlays(axes: Axes, results: Results, panel: _Panel, keys: SweepFigure, x: Scale, y: Scale) -> None:
-    """Draw overlays as dashed black lines with a white border, which are visible on any color."""
+    """Draw overlay columns as dashed black lines with a white border, which is visible on any color."""
     from matplotlib.patheffects import withStroke
 
     assert keys.x is not None

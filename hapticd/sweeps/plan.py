@@ -98,7 +98,7 @@ class Job:
         return found
 
     def _refined(self, document: dict[str, Json]) -> Row:
-        """Search for the boundary; measure at the last value that meets the condition, or at `start` if none does."""
+        """Search for the boundary; measure at the last value that meets the condition, or at `start` without one."""
         refine = self.study.refine
         assert refine is not None
         path = path_of(refine.key)
@@ -145,7 +145,7 @@ class Plan:
     ids: npt.NDArray[np.void] = field(repr=False)
     """Identities of the points, (n,) ID_DTYPE."""
     places: npt.NDArray[np.int64] = field(repr=False)
-    """For each point, the index of its combination of axis values, (n,); the first one of equal documents."""
+    """For each point, the index of its combination of axis values, (n,): the first of those that give its document."""
     source: str | None = field(default=None, repr=False)
     """Text of the study's file; None if the study was not read from a file."""
 
@@ -204,7 +204,7 @@ def plan(study: SweepStudy) -> Plan:
 
 
 def _shared_hash(job: Job) -> npt.NDArray[np.uint64]:
-    """Return the hash, (2,), of everything but the documents on which results depend: measures, code and names."""
+    """Return the hash, (2,), of everything on which results depend besides the documents: measures, code and names."""
     from hapticd.sweeps.measures.registry import identity_of
 
     study = job.study
@@ -274,7 +274,7 @@ def _paths(job: Job, axis: Axis) -> set[Path]:
 
 
 def _names_material(path: Path, values: Sequence[Value]) -> bool:
-    """Return whether the values of an axis are names of shipped materials, each of which replaces a material."""
+    """Return whether the values of an axis are names of shipped materials, by which a material is replaced."""
     return len(path) == 2 and path[0] == _MATERIALS_KEY and any(isinstance(value, str) for value in values)
 
 

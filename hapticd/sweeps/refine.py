@@ -1,4 +1,4 @@
-"""The boundary of a condition along one key: a scan for the first value at which it fails, then bisection."""
+"""The boundary of a condition along one key: a scan for the first value at which it is not met, then bisection."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def boundary_columns(refine: SweepRefine, unit: str) -> tuple[Column, ...]:
 
 
 def holds(refine: SweepRefine, row: Row) -> bool:
-    """Return whether a measured row meets the condition. Raises HapticdError if its column has no value."""
+    """Return whether a measured row meets the condition. Raises HapticdError if the condition's column has no value."""
     condition = refine.holds
     column = condition.column if isinstance(condition, SweepCondition) else condition
     value = row[column]

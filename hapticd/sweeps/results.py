@@ -71,7 +71,7 @@ class Results:
 
 
 def words_of(columns: Sequence[Column], labels: Mapping[str, str]) -> dict[str, str]:
-    """Return the label of each column: the study's label, or else the last part of its dotted name, without the unit.
+    """Return the label of each column: that of the study, or else the last part of the dotted name without the unit.
 
     Preceding parts are added until the label is unique.
     """

@@ -197,7 +197,7 @@ def _measure_faults(study: SweepStudy) -> list[tuple[Path, str]]:
 
 
 def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
-    """Return the faults of varied keys, and of `refine.key`, that neither a configuration nor a study has."""
+    """Return a fault for each varied key, and for `refine.key`, if neither a configuration nor a study has this key."""
     faults: list[tuple[Path, str]] = []
     keys: list[tuple[Path, str]] = []
     for name, axis in study.vary.items():
@@ -247,7 +247,7 @@ def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
 def _faults_with(job: Job, values: Sequence[Value], name: str) -> list[tuple[Path, str]]:
     """Return the faults of the configuration at a point.
 
-    Its path is that of the axis that sets the key, otherwise of the axis `name`, or if `name` is empty of the base.
+    The path of a fault names the axis that sets the faulty key, else the axis `name`, or if `name` is empty the base.
     """
     try:
         document = job.document(values)

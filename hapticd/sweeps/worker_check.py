@@ -1,4 +1,4 @@
-"""The code version of hapticd, which must be the same in a worker and in the command."""
+"""The code version of hapticd, which must be the same in a worker and in the command that runs the study."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Lock that keeps the processors out of deep idle states, which take long to leave.
 
 While `/dev/cpu_dma_latency` is held open with a latency of 0, the kernel's idle governor selects only shallow states
-(Documentation/power/pm_qos_interface). This costs power, so it is held only while a servo with real-time rights runs.
+(Documentation/power/pm_qos_interface). They cost power, so it is open only while a servo with real-time rights runs.
 """
 
 from __future__ import annotations

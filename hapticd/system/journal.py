@@ -116,7 +116,7 @@ def is_stderr_stream(stream: str) -> bool:
 # ---- Events --------------------------------------------------------------------------------------------------------
 
 _STATE_EVENTS: Final = frozenset(("fault", "device_lost", "device_found", "rate"))
-"""Events that report a state which lasts; repeated lines of them are delayed by at most MAX_STATE_INTERVAL_S."""
+"""Events that report a lasting state. If they repeat, their lines are delayed by at most MAX_STATE_INTERVAL_S."""
 
 
 def _level_and_text(event: Mapping[str, object]) -> tuple[int, str] | None:

@@ -22,7 +22,7 @@ _log = logging.getLogger("hapticd")
 
 
 def ready(line: str = "") -> bool:
-    """Report that the start or a reload has ended; `line` is the status line that `systemctl status` shows."""
+    """Report that a start or reload has ended; `line` is the status line that `systemctl status` shows."""
     return _send("READY=1", *_status_assignment(line))
 
 
@@ -32,7 +32,7 @@ def reloading() -> bool:
 
 
 def stopping() -> bool:
-    """Report that an orderly end begins."""
+    """Report that the process begins to end in an orderly way."""
     return _send("STOPPING=1")
 
 

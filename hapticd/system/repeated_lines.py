@@ -34,7 +34,7 @@ _log = logging.getLogger("hapticd")
 
 @dataclass(frozen=True, slots=True)
 class Since:
-    """The sum that a line reports: number, time and amounts since the previous line of its kind."""
+    """The sum that a line reports: number of lines, time and amounts since the previous line of its kind."""
 
     times: int = 1
     """Number of lines that this one stands for, itself included."""
@@ -86,7 +86,7 @@ class Repeats:
         self._kinds: dict[str, _Kind] = {}
 
     def line(self, kind: str, level: int, text: str, longest_s: float = MAX_REPEAT_INTERVAL_S) -> None:
-        """Log `text` now, or later with the number of lines of this kind until then, if it is then the newest."""
+        """Log `text` now, or later with the number of lines of this kind until then, unless a newer one replaces it."""
         self.note(kind, lambda since: _log.log(level, "%s%s", text, since.more), longest_s=longest_s)
 
     def note(
@@ -96,7 +96,7 @@ class Repeats:
         amounts: Mapping[str, int] | None = None,
         longest_s: float = MAX_REPEAT_INTERVAL_S,
     ) -> None:
-        """Call `log` now, or later with the sum of all calls of this kind until then, if it is then the newest.
+        """Call `log` now, or later with the sum of all calls of this kind until then, unless a newer call replaces it.
 
         `amounts` are added up by their names. `longest_s` is the longest interval between two lines.
         """

@@ -29,7 +29,7 @@ class Installation:
 
     executable: Path
     folders: tuple[Path, ...]
-    """Folders that it needs to run, in addition to the files of the system."""
+    """Folders with the files that hapticd needs to run: Python, its packages, and the executable."""
 
     @staticmethod
     def this() -> Installation:

@@ -208,7 +208,7 @@ class OneOf:
         return group.choice(self.usages)
 
     def lacking(self, found: object) -> list[str]:
-        """Return the names of the required entries that `found` lacks; if it is None, that of the choice."""
+        """Return the names of the required entries that `found` lacks; if it is None, the name of the choice."""
         if found is None and self.name:
             return [self.name]
         return [name for entry, name in self.needed if not isinstance(found, Choice) or entry not in found.entries]
@@ -216,7 +216,7 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """Rule for a value that a function finds; it may be empty."""
+    """Rule for a value that a function finds; the value may be empty."""
 
     find: Callable[[Group], object]
 
@@ -245,7 +245,7 @@ _VECTOR_USAGES: Final = tuple(DESKTOP_PAGE | usage for usage in (*range(0x30, 0x
 
 
 def _axes_enable(group: Group) -> dict[str, Field]:
-    """Return the flags of Axes Enable by axis."""
+    """Return the flags of the field Axes Enable by the name of their axis (x, y, ...)."""
     enable = {}
     for name, usage in AXIS_USAGES.items():
         for field, index in group.every(DESKTOP_PAGE | usage, PID_PAGE | 0x55):
@@ -257,7 +257,7 @@ def _axes_enable(group: Group) -> dict[str, Field]:
 
 
 def _directions(group: Group) -> Iterator[tuple[list[Field], bool]]:
-    """Yield the fields of the direction, and whether they are the components of a vector."""
+    """Yield the fields that may hold the direction, and whether these are components of a vector."""
     for field in group.fields:
         # Its elements may have any usage: axes, or instances of the page Ordinals.
         inside = field.within(PID_PAGE | 0x57) or field.index_of(PID_PAGE | 0x57) is not None
@@ -371,7 +371,7 @@ class BlockLoad(Report):
 
     effect_index: _EffectIndex
     status: Annotated[Choice | None, OneOf("", LOAD_STATUS_USAGES, (("success", "Block Load Success"),))]
-    """Block Load Status; None if it cannot report success. Then an index of 0 means that no effect was created."""
+    """Block Load Status; None if it cannot report success: then an index of 0 means that no effect was created."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,8 @@ ambiguous, the parser does what Linux does (drivers/hid/hid-core.c), because Lin
 - Usages are assigned to the elements of a field in the order of their items, single usages and ranges alike. If there
   are fewer usages than elements, the last usage repeats; surplus usages are ignored.
 - Only the first usage between delimiters, the preferred one, is used.
-- A collection has the first of the usages before it.
-- A unit exponent of 8 to 15 is a negative nibble. A physical range of 0 to 0 is unset: the logical range is used.
+- If several usages precede a collection, the first of them is the collection's usage.
+- A unit exponent of 8 to 15 stands for -8 to -1. A physical range of 0 to 0 is unset: the logical range is used.
 
 The parser skips reserved items (type 3), unknown local items, unknown main items (which reset the local state, as any
 main item does), long items (the specification defines none; Linux refuses them), and usage ranges that lack an end, end
@@ -224,7 +224,7 @@ class _Locals:
     in_set: bool = False
     """Whether a set of alternative usages is open (Delimiter)."""
     has_preferred: bool = False
-    """Whether the first usage of that set has been read."""
+    """Whether the preferred usage of that set, which is its first, has been read."""
 
 
 # Names of the main, global and local items by their tags (chapters 6.2.2.4, 6.2.2.7 and 6.2.2.8).
@@ -402,7 +402,7 @@ class _Parser:
                 self._take_usage(_Usage(first.first, last.first, last.page))
 
     def _take_usage(self, usage: _Usage) -> None:
-        """Add a usage, unless it is an alternative to the preferred usage of its set."""
+        """Add a usage, unless a preferred alternative to it was already read."""
         local = self._local
         if not local.in_set or not local.has_preferred:
             local.usages.append(usage)

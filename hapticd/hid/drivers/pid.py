@@ -108,7 +108,7 @@ class PidDriver:
         _send(device, gain_report(layout, self._hid))
 
     def _effects_in_pool(self, device: Device) -> int | None:
-        """Return how many effects the device plays at a time; None if this is not known, or one effect is enough.
+        """Return how many effects the device plays at a time; None if this is not known, or if hapticd needs only one.
 
         Must be called before the first effect is created.
         """
@@ -241,7 +241,7 @@ def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:
 
 
 def _warn_once(text: str) -> None:
-    """Log a warning, and sums of it if the device is connected repeatedly."""
+    """Log a warning; if it repeats at later connections, log at growing intervals how often."""
     _repeats.line(text, logging.WARNING, text)
 
 

@@ -2,8 +2,8 @@
 
 A force is exerted by constant-force effects, in one of these schemes:
 
-- Two effects, one for each axis, with signed magnitudes. If the component along one axis does not change, its report is
-  not sent, unless the directions are not exactly along the axes (`pid_reports.force_factors`).
+- Two effects, one for each axis, with signed magnitudes. If the force along one axis does not change, the report of its
+  effect is not sent, unless the directions are not exactly along the axes (`pid_reports.force_factors`).
 - One effect, for which magnitude and direction are sent. It is used if magnitudes have no sign, or if the device has
   room for one effect only.
 
@@ -58,7 +58,7 @@ from hapticd.hid.plan import (
 )
 
 MAX_RENEW_WITHOUT_RESTORE_S: Final = 0.05
-"""Messages that are sent with renewals at this interval or a shorter one are left out of `Plan.restore`."""
+"""If effects are renewed at this interval or a shorter one, `Plan.restore` omits the messages that renewals contain."""
 
 Scheme = Literal["two", "polar", "one", "sides"]
 """The effects that exert a force. On a device with two axes: "two", one for each axis, or "polar", one effect with a
@@ -178,7 +178,7 @@ def plan_of(layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int]) ->
 
 
 def _force_factors(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
-    """Return for each effect the factors of the force along its axis and along the other axis in its magnitude."""
+    """Return for each effect two factors of its magnitude: of the force along its axis, and along the other axis."""
     set_effect = layout.set_effect
     assert set_effect is not None
     angle = angle_of(set_effect)
@@ -203,7 +203,7 @@ def _leak_of(layout: Layout) -> float:
 def _restore_messages(
     layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int], renew_s: float
 ) -> Iterator[Message]:
-    """Yield messages that restore effects which another program changed, except those renewed often enough."""
+    """Yield the messages that restore effects that another program changed, unless renewals send them often enough."""
     effects = effects_of(scheme, hid)
     for effect, index, factors in zip(effects, indices, _force_factors(layout, effects), strict=True):
         if scheme != "polar":
@@ -246,7 +246,7 @@ def _state_bits(layout: Layout) -> tuple[StateBit, ...]:
 
 
 def _playing_bits(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits | None:
-    """Return the fields of PID State that report which effects play; None if absent or too small for the indices."""
+    """Return the fields of PID State that report which effects play; None without them, or if an index does not fit."""
     state = layout.pid_state
     if state is None or state.effect_index is None or state.effect_playing is None:
         return None

@@ -13,7 +13,7 @@ from hapticd.hid.descriptor.layout import Layout, Report, SetEffect, SetEnvelope
 from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
 
 _MIN_DIRECTION_SINE: Final = 0.5
-"""`force_factors` needs two directions with at least this sine of the angle between them; else it corrects nothing."""
+"""Smallest sine of the angle between the two directions for which `force_factors` corrects their rounding."""
 
 
 # ---- Directions ------------------------------------------------------------------------------------------------------
@@ -71,7 +71,7 @@ def direction_transform(axes: ForceAxes) -> tuple[int, float]:
 
 
 def force_factors(angle: Field, x_turns: float, y_turns: float) -> list[tuple[float, float]]:
-    """Return two factors for the effect of x, then for that of y, with which both together exert exactly the force.
+    """Return two factors for the effect of x, then for that of y, with which both effects add up to the wanted force.
 
     The magnitude of an effect is the first factor times the force along its axis, plus the second factor times the
     force along the other axis. The factors correct the rounding of the directions `x_turns` and `y_turns`: with 255
@@ -93,7 +93,7 @@ def leak_share(angle: Field) -> float:
 
 
 def _push_vector(angle: Field, turns: float) -> tuple[float, float]:
-    """Return the unit vector of the force for a direction that is rounded to counts."""
+    """Return the unit vector of the force that comes from a direction, after the direction is rounded to counts."""
     per_turn = angle.counts_per_turn()
     if per_turn > 0.0:
         counts = min(max(round(counts_of(angle, turns)), angle.logical_min), angle.logical_max)
@@ -106,7 +106,7 @@ def _push_vector(angle: Field, turns: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A constant force: its axis, the direction from which it comes, in turns, and the quantity of its magnitude."""
+    """A constant force: its axis, the direction it comes from in turns, and the quantity that is its magnitude."""
 
     axis: Literal["x", "y"]
     from_turns: float
@@ -148,7 +148,7 @@ class ReportWriter:
 def set_effect_report(
     layout: Layout, hid: Hid, index: int, effect: Effect | None, kind: str = "constant_force"
 ) -> bytes:
-    """Return Set Effect; if `effect` is None, without a direction. `kind` is a key of EFFECT_TYPE_USAGES."""
+    """Return the report Set Effect, without a direction if `effect` is None. `kind` is a key of EFFECT_TYPE_USAGES."""
     fields = layout.set_effect
     assert fields is not None
     report = ReportWriter(fields)
@@ -214,7 +214,7 @@ def duration_of(layout: Layout, hid: Hid) -> tuple[int, float]:
 
 
 def operation_report(layout: Layout, index: int, name: str) -> Message:
-    """Return Effect Operation; `name` is a key of OPERATION_USAGES."""
+    """Return the report Effect Operation; `name` is a key of OPERATION_USAGES."""
     fields = layout.effect_operation
     assert fields is not None
     report = ReportWriter(fields)
@@ -225,7 +225,7 @@ def operation_report(layout: Layout, index: int, name: str) -> Message:
 
 
 def block_free_report(layout: Layout, index: int) -> Message | None:
-    """Return PID Block Free; None if the device has no such report, or it cannot hold this index."""
+    """Return the report PID Block Free; None if the device has no such report, or the report cannot hold this index."""
     fields = layout.block_free
     if fields is None or not fields.effect_index.logical_min <= index <= fields.effect_index.logical_max:
         return None
@@ -235,7 +235,7 @@ def block_free_report(layout: Layout, index: int) -> Message | None:
 
 
 def control_report(layout: Layout, name: str) -> bytes | None:
-    """Return a command of Device Control; None if the device lacks the command."""
+    """Return the report Device Control with a command; None if the device lacks the command."""
     fields = layout.device_control
     assert fields is not None
     if name not in fields.command.entries:
@@ -246,7 +246,7 @@ def control_report(layout: Layout, name: str) -> bytes | None:
 
 
 def gain_report(layout: Layout, hid: Hid) -> bytes | None:
-    """Return Device Gain at its maximum; None if the device has no such report, or does not accept it."""
+    """Return the report Device Gain with the largest gain; None if the device lacks or refuses the report."""
     fields = layout.device_gain
     if fields is None or "no_device_gain" in hid.quirks:
         return None
@@ -262,9 +262,9 @@ def constant_force_report(
     hid: Hid | None = None,
     factors: tuple[float, float] = (1.0, 0.0),
 ) -> Message:
-    """Return Set Constant Force of an effect; if `effect` is None, for a force of zero.
+    """Return the report Set Constant Force for an effect; if `effect` is None, for a force of zero.
 
-    `factors` are those of the force along the effect's axis and of the force along the other axis (`force_factors`).
+    Its magnitude is computed with the two `factors` as `force_factors` describes.
     """
     force = layout.constant_force
     assert force is not None
@@ -282,7 +282,7 @@ def constant_force_report(
 
 
 def polar_effect_report(layout: Layout, hid: Hid, index: int, kind: str = "constant_force") -> Message:
-    """Return Set Effect of this kind, into which the direction of the force is written."""
+    """Return the report Set Effect of this kind, into which the direction of each force is written."""
     assert layout.set_effect is not None
     field = angle_of(layout.set_effect)
     assert field is not None
@@ -302,7 +302,7 @@ def polar_effect_report(layout: Layout, hid: Hid, index: int, kind: str = "const
 
 
 def envelope_report(fields: SetEnvelope, index: int) -> bytes:
-    """Return Set Envelope of an effect, with times and levels of zero."""
+    """Return the report Set Envelope for an effect, with times and levels of zero."""
     report = ReportWriter(fields)
     report.put(fields.effect_index, index)
     return bytes(report.data)
@@ -335,7 +335,7 @@ def shared_report_problem(layout: Layout, *, with_periodic: bool = False) -> str
 
 
 def time_scale(field: Field) -> Scale:
-    """Return the scale of a time in s. Without a unit in the descriptor, a count is the specification's 1 ms."""
+    """Return the scale of a time in s. Without a unit in the descriptor, a count is 1 ms, as in the specification."""
     step_s = field.seconds_per_count()
     zero = 0.0 if step_s is None else field.logical_min - field.physical_min * 10.0**field.unit_exponent / step_s
     return Scale(bits_of(field), 1.0 / (step_s or 1e-3), zero, field.logical_min, field.logical_max)

@@ -46,7 +46,7 @@ FIT_COLUMNS: Final = (
 
 @dataclass(frozen=True)
 class Fits:
-    """A piece of a batch: some of its fits."""
+    """Some fits of a batch, which one worker computes: a piece of the engine."""
 
     root: str
     """Absolute path of the tree."""
@@ -156,7 +156,7 @@ class Batch:
 
 
 def _document(recordings: RecordingSet) -> dict[str, Json]:
-    """Return the document whose hash is the identity of a fit; no fit depends on the stiffness."""
+    """Return the document whose hash is the identity of a fit; it omits a set stiffness, on which no fit depends."""
     options: Sequence[tuple[str, Json]] = list(dataclasses.asdict(recordings.options).items())
     return {
         "kind": recordings.kind,

@@ -94,7 +94,7 @@ class FolderYaml:
 
 
 def merged(folders: Iterable[BatchFolder]) -> BatchFolder:
-    """Return the options in the last of nested folders, given from the outermost on."""
+    """Return the options that hold in the innermost of nested folders, which are given from the outermost on."""
     found: dict[str, object] = {}
     for folder in folders:
         found |= {key_of(field): getattr(folder, field) for field in folder.model_fields_set}

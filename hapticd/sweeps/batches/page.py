@@ -159,7 +159,7 @@ def _array(values: Sequence[float | None]) -> Floats:
 
 
 def _compared(results: Sequence[MaterialResult]) -> Iterator[tuple[Panel, ...]]:
-    """Yield for each kind of fit a row of plots: each shows an estimated quantity over the rank of the material."""
+    """Yield a row of plots for each kind of fit: each plot shows an estimated quantity over the material's rank."""
     for kind, names in COMPARED_FIGURES.items():
         fits = [(rank, fit) for rank, each in enumerate(results, 1) for fit in each.fits if fit.kind == kind]
         panels = tuple(panel for name in names if (panel := _over_ranks(kind, name, fits)) is not None)

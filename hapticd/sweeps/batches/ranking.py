@@ -63,7 +63,7 @@ class MaterialResult:
     """The worst verdict of its fits."""
     fits: tuple[FitResult, ...]
     material: Material | None
-    """The material, made of all fits that were not refused; None if every fit was refused."""
+    """The material that all fits which were not refused are merged into; None if every fit was refused."""
     notes: tuple[str, ...]
 
     @property

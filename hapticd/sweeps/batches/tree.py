@@ -75,7 +75,7 @@ class Tree:
     path: str
     """Path as the user wrote it."""
     sets: tuple[RecordingSet, ...]
-    """The recordings of each fit, by material, then by kind. A puncture is last: it measures the stiffness."""
+    """The recordings of each fit, by material, then by kind; punctures are last, since they determine the stiffness."""
     others: tuple[str, ...]
     """Paths of files that are not recordings, relative to the tree."""
 
@@ -136,7 +136,7 @@ class _Reader:
     problems: list[Problem] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
     fitted_kinds: dict[str, set[Kind]] = field(default_factory=lambda: defaultdict(set))
-    """For each folder, the kinds of the fits in it and below."""
+    """For each folder, the kinds of the fits whose recordings are in it and below."""
     sets_kind: set[str] = field(default_factory=set)
     """Folders whose fit.yaml may set `kind`: each material's folder with recordings directly in it, and the tree."""
 

@@ -24,8 +24,8 @@ _PERIOD_TOLERANCE: Final = 1e-9
 def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], max_gap_ticks: int = 0) -> float:
     """Return the largest energy that one contact had given at any tick, a partial sum of f.(x' - x), in J, at least 0.
 
-    The force f acts while the position changes from x to x'; that of the last tick acts after the contact. `force_n`
-    and `position_m` have shape (n, 2), `touched` (n,). Contacts count as one if the gap is at most `max_gap_ticks`.
+    The force f acts while the position changes from x to x'; the force of the last tick acts after the contact.
+    `force_n` and `position_m` have shape (n, 2), `touched` (n,). Gaps of at most `max_gap_ticks` end no contact.
     """
     steps = np.zeros(len(force_n))
     steps[1:] = (force_n[:-1] * np.diff(position_m, axis=0)).sum(1)
@@ -44,7 +44,7 @@ class EnergyGiven:
     """The largest net energy that the surfaces had given to the hand at any time of one contact.
 
     The energy is the sum of f.(x' - x) over ticks. f is the commanded force of the touched objects after the force
-    limit, without vibration. x is the true position of the handle, or in the open loop that on the path of the hand.
+    limit, without vibration. x is the true position of the handle, or in the open loop the position on the hand's path.
     """
 
     columns = (

@@ -23,7 +23,7 @@ class PassiveLimit:
     b is the damping of the handle, D that of the wall, T the servo's period and t_d the age of the positions. A wall
     with a lower stiffness oscillates in no passive hand if positions are exact (Colgate and Schenkel, J. Robotic
     Systems 14, 1997). The limit is 0 if |D| is at least b. If position reports, ticks and force frames have different
-    rates, the reach (docs/stability.md) replaces T/2 + t_d.
+    rates, a time called reach (docs/stability.md) replaces T/2 + t_d.
     """
 
     columns = (

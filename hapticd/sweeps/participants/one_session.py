@@ -21,7 +21,7 @@ from hapticd.experiment.stimuli import at_level
 from hapticd.sweeps.columns import Column, Row
 
 CLOCK_KEY: Final = "clock"
-"""Member of the first record of a log with the time of day; rows omit it."""
+"""Member that holds the time of day in the first record of a log; rows omit it."""
 SESSION_COLUMNS: Final = (
     Column("trials", "integer", "measured", "", "Number of trials of the plan."),
     Column("answered", "integer", "measured", "", "Number of trials with an answer."),
@@ -37,7 +37,7 @@ SESSION_COLUMNS: Final = (
 def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
     """Run a session and return the values of SESSION_COLUMNS. Raises HapticdError.
 
-    They are determined bit for bit by study, participant, session and seed.
+    Study, participant, session and seed determine these values bit for bit.
     """
     made = plan(study, participant, session, seed)
     records, duration_s = _run(made)
