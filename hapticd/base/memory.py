@@ -11,7 +11,7 @@ from hapticd.base.errors import HapticdError
 MIN_RETURNED_BLOCK_BYTES: Final = 16 * 1024
 """Blocks of at least 16 KiB are returned to the kernel; a telemetry message at 10 kHz has 22 kB.
 
-Such buffers do not fragment the heap then: no smaller block is allocated between them.
+These blocks then do not fragment the heap, because no smaller block is allocated between them.
 """
 
 

@@ -115,7 +115,7 @@ class Model(BaseModel):
             raise TypeError(f"two models are called {cls.__name__}; error messages find a model by its name")
 
     def to_dict(self, without: set[str] | None = None) -> dict[str, Json]:
-        """Return the canonical form as plain data, which is valid input: with defaults, without absent options.
+        """Return the model as plain data, which is valid input: with all defaults, without optional keys that are null.
 
         `without` names members to leave out.
         """

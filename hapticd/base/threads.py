@@ -1,6 +1,6 @@
 """Background threads, and whether they can be started: a user's limit of processes (RLIMIT_NPROC) counts each.
 
-libzmq starts threads too, and aborts the process if the system refuses one, so `check` is called before it does.
+libzmq starts threads too, and aborts the process if the system refuses one, so `check` must be called earlier.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ class View:
 
     @property
     def wants_scene(self) -> bool:
-        """Whether the scene in the picture is not that of the daemon."""
+        """Whether the daemon's scene has changed since the last `set_scene`."""
         return self.lost_for_s is None and self.state is not None and self.state["revision"] != self.scene_revision
 
     def set_scene(self, scene: Mapping[str, object], revision: int) -> None:

@@ -2,8 +2,8 @@
 
 Requests that change the scene or materials are carried out one at a time, in the order of their arrival, and in steps:
 between two steps other requests are answered (docs/adr/0002, 0024, 0058). A reload of the configuration is such a
-change; all signals that arrive before it begins cause one reload. The heartbeat shows the servo that commands are
-served.
+change; all signals that arrive before it begins cause one reload. The heartbeat shows the servo that this
+thread is alive.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MAX_WAITING_CHANGE_BYTES: Final = 2 * messages.MAX_BODY_BYTES
 CHANGE_SLICE_NS: Final = 5_000_000
 """Time that a change runs before other requests are served; its current step is finished first."""
 BEAT_INTERVAL_S: Final = 0.1
-"""Longest time between two heartbeats. Without one for a second the servo fades the forces out."""
+"""Longest time between two heartbeats. A servo that gets none for a second fades the forces out."""
 CHORES_INTERVAL_S: Final = 0.02
 """Interval of heartbeat, servo poll, log and slices of changes while requests come without a pause."""
 

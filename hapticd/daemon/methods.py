@@ -88,7 +88,7 @@ class _Proposed(NamedTuple):
     sent: Collection[str] = ()
     """Names of the materials that the request contains."""
     changed: Collection[str] | None = ()
-    """Ids of the objects that may differ or are removed; None: they are found by comparison."""
+    """Ids of the objects that may differ or are removed; None: all objects must be compared."""
 
 
 class _Changed(NamedTuple):

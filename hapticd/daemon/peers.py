@@ -63,7 +63,7 @@ class Limits:
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """A connection. `held`: its bytes in Limits.buffers."""
+    """A connected peer. `held`: the bytes that it uses of Limits.buffers."""
 
     sock: socket.socket
     uid: int
@@ -417,7 +417,7 @@ class Peers:
         return next(reversed(max(processes.values(), key=len).values()))
 
     def _account(self, peer: Peer) -> None:
-        """Update the memory that a peer uses, and end the peers that use most while all use too much together."""
+        """Update the memory that a peer uses; while all use over Limits.buffers, end the peer that uses most."""
         held = peer.parser.held + peer.unsent
         if held == peer.held or peer.closed:
             return

@@ -31,7 +31,7 @@ MAX_USELESS_SUBSCRIPTIONS: Final = 1000
 _MAX_TURNS_PER_WAIT: Final = 20
 """Turns of subscribers after which the thread pauses, so that the command thread gets the interpreter."""
 _TURNS_PAUSE_S: Final = 0.005
-"""Length of that pause."""
+"""Length of the pause after _MAX_TURNS_PER_WAIT turns."""
 _LOSS_LOG_INTERVAL_S: Final = 1.0
 """Interval in which dropped messages are logged."""
 

@@ -20,7 +20,7 @@ from hapticd.recording.recording import Recording
 MAX_ROWS_PER_ANSWER: Final = 20_000
 """Samples of one answer: 2 MB."""
 MAX_OUTLINE_PIXELS: Final = 4096
-"""Pixels of one outline."""
+"""Pixels of one outline: the minimum and the maximum of a column per pixel."""
 MAX_SHOWN_EVENTS: Final = 5000
 """Events of a recording that a page gets; later ones are left out."""
 _MAX_EVENT_TEXT_CHARACTERS: Final = 500
