@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-# Not through hapticd.base.core, which imports numpy: 11 MB that other processes do not need.
+# Imported directly: hapticd.base.core imports numpy, 11 MB that some processes do not need.
 from hapticd._core import ffi, lib
 from hapticd.base.errors import HapticdError
 

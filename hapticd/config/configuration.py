@@ -221,7 +221,7 @@ class Device(Model):
         default="off",
         description="Correction of strikes: none, for mass and zero-order hold, or for mass, spring, damper and hold.",
     )
-    # After the fields that give its default.
+    # Defined after the fields that its default depends on.
     effective_mass_kg: float = Field(
         default_factory=_moving_mass_kg,
         ge=1e-4,

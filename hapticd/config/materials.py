@@ -336,7 +336,7 @@ class Material(Model):
         default=None, description="Rupture of a membrane; without it a membrane never ruptures."
     )
     friction: Friction | None = Field(default=None, description="Coulomb friction; without it none.")
-    # After `tap`, whose mode grooves may use.
+    # Defined after `tap`, whose mode grooves may use.
     texture: Texture | None = Field(
         default=None, description="Texture under a stroke; without it the surface is smooth."
     )

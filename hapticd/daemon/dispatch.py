@@ -32,7 +32,7 @@ from hapticd.system.repeated_lines import Repeats
 MAX_WAITING_CHANGES: Final = 64
 """Changes that may wait for their turn. docs/protocol.md states it."""
 MAX_WAITING_CHANGE_BYTES: Final = 2 * messages.MAX_BODY_BYTES
-"""Size of the bodies of all waiting changes."""
+"""Largest size of the bodies of all waiting changes together."""
 CHANGE_SLICE_NS: Final = 5_000_000
 """Time that a change runs before other requests are served; its current step is finished first."""
 BEAT_INTERVAL_S: Final = 0.1
@@ -139,7 +139,7 @@ class Dispatch:
         """Queue a requested reload. Must be called often, and soon after `wake`."""
         if self._reload.is_set() and not self._reload_waits:
             self._reload_waits = True
-            # Its result and its errors, unexpected ones too, are logged.
+            # The outcome of the reload is logged, also an unexpected error.
             self._add(_Change(messages.Request(0, True, "reload", {}), self._reloading(), _notify_ready, 0))
 
     def continue_change(self) -> None:

@@ -482,7 +482,7 @@ class Engine:
     def play(
         self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
     ) -> tuple[int, float | None]:
-        """Strike a mode, and return the tick that took it and the frequency displayed (None: the rate cannot carry it).
+        """Strike a mode, and return the tick that took it and the frequency displayed (None: it is too high).
 
         After a WaitTimeoutError the mode may still be struck, at the rate that the servo has then.
         """

@@ -77,7 +77,7 @@ _MAX_PARAM_MEMBERS: Final = 16
 
 
 class _Proposed(NamedTuple):
-    """The scene and materials of a requested change, validated except for names of materials and for the rate."""
+    """The scene and materials of a requested change. Names of materials and limits of the rate are still unchecked."""
 
     scene: Scene
     materials: Materials

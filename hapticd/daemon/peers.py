@@ -336,7 +336,7 @@ class Peers:
         self._account(peer)
 
     def _refill(self, peer: Peer) -> None:
-        """Queue more data, if there is any: everything queued was sent."""
+        """Queue more data, if there is any. Called once everything queued was sent."""
 
     # ---- connecting ------------------------------------------------------------------------------------------------
 

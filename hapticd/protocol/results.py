@@ -31,7 +31,8 @@ class OperatorStatus(TypedDict):
 class StreamStatus(TypedDict):
     """Counters of the messages of one kind of stream.
 
-    Each received message is used, superseded, late, held or refused, or waits to be used.
+    Each received message is used, superseded, late (`seq` too low), held (another client owns the stream), refused
+    (invalid), or waits to be used.
     """
 
     active: bool

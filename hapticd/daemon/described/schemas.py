@@ -122,7 +122,7 @@ def _by_name(patches: list[str]) -> dict[str, Json]:
 def _patch(name: str, schemas: Schemas) -> dict[str, Json]:
     """Return the schema of a merge patch of the model `name`.
 
-    Unknown keys may be null: a new `kind` of an object removes keys of the old one.
+    Keys that the model lacks may be null: a patch that changes an object's `kind` must remove keys of the old kind.
     """
     found = {key: value for key, value in schemas[name].items() if key in _PATCH_KEYWORDS}
     found["description"] = f"A JSON Merge Patch. {found['description']}"
