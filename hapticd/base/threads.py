@@ -21,7 +21,7 @@ THREAD_START_ERROR: Final = "can't start new thread"
 CLIENT_THREADS: Final = 2
 """Threads of libzmq in a client: one for the connections, one that closes sockets."""
 DAEMON_THREADS: Final = 16
-"""More threads than a daemon has with a device, while it reloads its configuration."""
+"""Upper bound of the threads of a daemon, which has most while it drives a device and reloads its configuration."""
 
 
 def refused() -> str:

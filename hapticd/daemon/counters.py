@@ -100,7 +100,7 @@ class Counters(NamedTuple):
     memory_refused: int
     """errno of the last attempt to lock memory for a grown scene; 0: memory is locked as granted."""
     overloaded: bool
-    """An overload has ended the servo thread, or is about to; it is then restarted at a lower rate."""
+    """Whether an overload has ended the servo thread, or is about to; it is then restarted at a lower rate."""
     missed_share: float
     """Fraction of the periods of the last complete second that were missed."""
     signs_word: int
@@ -142,7 +142,7 @@ class StreamCounters(NamedTuple):
     tick: int
     """The tick that used the last value; 0 before the first."""
     active: bool
-    """A value came within `servo.stream_timeout_s`."""
+    """Whether a value came within `servo.stream_timeout_s`."""
 
 
 TOTAL_COUNTER_NAMES: Final = Counters._fields[: Counters._fields.index("suspends") + 1]

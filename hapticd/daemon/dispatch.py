@@ -56,7 +56,7 @@ class _Change:
     size: int
     """Size of the request's body, in bytes."""
     ended: bool = False
-    """The change is in force or was refused."""
+    """Whether the change is in force or was refused."""
 
     def run_slice(self) -> Result | None:
         """Run steps for CHANGE_SLICE_NS, and return the result, or None if steps remain.

@@ -90,7 +90,7 @@ FROZEN_FORCE_FRACTION: Final = 0.1
 `device.frozen_after_s` enables the check.
 """
 MAX_UNSENT_CHANGES: Final = 1024
-"""Changes that wait to be sent to subscribers; beyond it the oldest are dropped."""
+"""Most changes that wait to be sent to subscribers; beyond this number the oldest are dropped."""
 
 MIN_STEP_DOWN_RATE_HZ: Final = 1000.0
 """Lowest rate to which an overload may reduce the rate of the servo (a step down)."""

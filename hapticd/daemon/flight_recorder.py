@@ -34,7 +34,7 @@ from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 FAULT_AFTERMATH_S: Final = 1.0
 """Time after a fault that its file includes."""
 MAX_KEPT_EVENTS: Final = 5000
-"""Events that are kept, the newest."""
+"""Number of events that are kept: the newest ones."""
 CHUNK_SAMPLES: Final = 3200
 """Samples that are written in one call: 360 kB."""
 _OPAQUE_SAMPLE_DTYPE: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))

@@ -54,7 +54,7 @@ class Limits:
     connections: int = MAX_SOCKET_CONNECTIONS
     process_connections: int = MAX_SOCKET_CONNECTIONS // 4
     buffers: int = 96 * 1024 * 1024
-    """Bytes of all peers together in incomplete messages and in unread answers."""
+    """Most bytes of all peers together in incomplete messages and in unread answers."""
 
     def of(self, connections: int) -> Limits:
         """Return the same limits for a different number of connections."""

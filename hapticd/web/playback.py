@@ -18,11 +18,11 @@ from hapticd.client.record import ended_early
 from hapticd.recording.recording import Recording
 
 MAX_ROWS_PER_ANSWER: Final = 20_000
-"""Samples of one answer: 2 MB."""
+"""Most samples in one answer: 2 MB."""
 MAX_OUTLINE_PIXELS: Final = 4096
-"""Pixels of one outline: the minimum and the maximum of a column per pixel."""
+"""Most pixels of one outline, which has the minimum and the maximum of a column per pixel."""
 MAX_SHOWN_EVENTS: Final = 5000
-"""Events of a recording that a page gets; later ones are left out."""
+"""Most events of a recording that a page gets; later ones are left out."""
 _MAX_EVENT_TEXT_CHARACTERS: Final = 500
 """Longest text in an event; members with a longer text are left out."""
 _RATE_RANGE_HZ: Final = (1.0, 1e6)

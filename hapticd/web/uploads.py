@@ -18,7 +18,7 @@ from hapticd.web.connections import extend_deadline
 MAX_UPLOAD_BYTES: Final = 512 << 20
 """Largest file that may be uploaded."""
 MAX_WAITING_UPLOADS: Final = 4
-"""Uploaded files that are not opened yet; beyond it the oldest is removed."""
+"""Most uploaded files that are not opened yet; beyond this number the oldest is removed."""
 _UPLOAD_BLOCK_BYTES: Final = 1 << 18
 """Largest block that is received and written at once."""
 
