@@ -57,13 +57,13 @@ Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME
 """Name of a material or id of an object: without a dot, which separates the keys of a path."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]
-"""Unit: m."""
+"""A coordinate of the workspace, in m."""
 Position: TypeAlias = Annotated[tuple[Coordinate, Coordinate], Strict(False)]
 """[x, y] in m."""
 Stiffness: TypeAlias = Annotated[float, Field(ge=0, le=1e5)]
-"""Unit: N/m."""
+"""A stiffness, in N/m."""
 Damping: TypeAlias = Annotated[float, Field(ge=0, le=1e3)]
-"""Unit: N s/m."""
+"""A damping coefficient, in N s/m."""
 
 
 class Model(BaseModel):

@@ -106,7 +106,7 @@ _RINGING_KEYS: Final[tuple[str, ...]] = (
     "mode_table",
     "second",
 )
-"""Keys of a tap with modes."""
+"""Keys of a tap that is played as modes, not as a waveform."""
 _ONE_MODE_KEYS: Final = _RINGING_KEYS[:4]
 """Keys of a tap with the same mode at all approach speeds."""
 

@@ -319,7 +319,7 @@ class _Path:
             self._add(distance / speed)
 
     def stay(self, duration_s: float) -> None:
-        """Stay for a time."""
+        """Keep the hand still for a time."""
         self._add(duration_s)
 
     def begin(self, at: float, height: float) -> None:

@@ -262,7 +262,7 @@ class Flight:
         )
 
     def wake(self) -> None:
-        """End `run`."""
+        """End `run` once it has written the files that were passed before."""
         self._jobs.put(None)
 
     def _write(self, job: _Job) -> None:

@@ -48,7 +48,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a socket."""
+    """Limits of the connections and the messages of a socket."""
 
     message: zmtp.Bounds
     connections: int = MAX_SOCKET_CONNECTIONS

@@ -55,14 +55,14 @@ _COMPONENT_COLUMNS: Final = {
     "force_x_n": ("force_n", 0),
     "force_y_n": ("force_n", 1),
 }
-"""Columns of vector components: field and index."""
+"""Columns of vector components, each with its field of a sample and its index in that field."""
 _MAGNITUDE_COLUMNS: Final = {
     "force_n": "force_n",
     "contact_n": "contact_force_n",
     "vibration_n": "vibration_force_n",
     "speed_m_per_s": "velocity_m_per_s",
 }
-"""Columns of vector magnitudes: field."""
+"""Columns of vector magnitudes, each with its field of a sample."""
 OUTLINE_COLUMNS: Final = (*_COMPONENT_COLUMNS, *_MAGNITUDE_COLUMNS)
 """Columns that an outline may show. The names of components are those of static/samples.js."""
 

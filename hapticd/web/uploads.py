@@ -27,7 +27,7 @@ class Uploads:
     """Uploaded files that wait to be opened, by the token that the upload returned."""
 
     def __init__(self) -> None:
-        """Begin without files."""
+        """Begin without uploaded files."""
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._waiting: dict[str, Path] = {}
 
@@ -65,7 +65,7 @@ class Uploads:
         return path
 
     def close(self) -> None:
-        """Remove all files."""
+        """Remove all uploaded files."""
         self._waiting.clear()
         if self._folder is not None:
             self._folder.cleanup()
