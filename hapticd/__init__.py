@@ -1,4 +1,4 @@
-"""hapticd: a haptic daemon, and the same tick for Python without it.
+"""hapticd: a haptic daemon, and its computation of forces for Python programs without the daemon.
 
     with hapticd.connect() as daemon: ...         talk to a running daemon (hapticd.aio.connect for asyncio)
     hapticd.render(config, position_m)            forces for a path of positions, open loop

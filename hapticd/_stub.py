@@ -1,8 +1,8 @@
 """The types of the compiled extension, for mypy and editors: hapticd/_core.pyi, made from the headers of csrc/api/.
 
 A part of the build (_build.py), never imported by the package; git ignores the stub. The header holds only
-declarations and numbers, so that a few patterns read it; tests/project/test_core_layout.py compares the stub with the
-compiled library.
+declarations and numbers, so a few regular expressions can read it; tests/project/test_core_layout.py compares the stub
+with the compiled library.
 """
 
 import keyword

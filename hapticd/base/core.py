@@ -87,7 +87,7 @@ TUNE_NODE_NUMBERS: int = lib.HD_TUNE_NODE
 MAX_WAVEFORM_SAMPLES: int = lib.HD_WAVE_SAMPLES
 """Maximum number of samples of a tap's waveform."""
 WAVEFORM_PARTS: int = lib.HD_WAVE_PARTS
-"""A table divides a waveform into this number of equal parts, and has the largest magnitude after each one's start."""
+"""Number of equal parts of a waveform in a table, which holds the largest magnitude after the start of each part."""
 MAX_FORCE_DELAY_FRAMES: int = lib.HD_SIM_FORCES
 """Maximum delay of a force on its way to the simulated joystick, in intervals of the simulated link."""
 

@@ -1,6 +1,7 @@
 """Errors that a user can cause, and helpers for their texts.
 
-Every message is one line that says where, what and what would be right. A traceback that a user sees is a defect.
+Every message is one line that says where the error is, what is wrong and what would be right. A traceback that a user
+sees is a defect.
 """
 
 import difflib
@@ -26,7 +27,7 @@ _LOCATION_PATTERN = re.compile(r"(.+?):(\d+):(\d+)(?:: |$)")
 
 
 class HapticdError(Exception):
-    """An error that a user can correct; its text is one line that says where, what and what would be right."""
+    """An error that a user can correct; its text is one line: where it is, what is wrong, what would be right."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,7 +54,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
 def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
     """Raise HapticdError if an output cannot be written to `path`.
 
-    That is: a file exists there and `overwrite` is False, it is not a regular file, or its folder does not exist.
+    It cannot if a file exists there and `overwrite` is False, if it is not a regular file, or if its folder is missing.
     """
     name = os.fspath(path)
     check_regular(name)
@@ -79,7 +79,7 @@ def atomic_file(
 ) -> Iterator[BinaryIO]:
     """Open a file to write to, which gets the name `path` at the end of the block; if that fails, `path` is unchanged.
 
-    With `synced` its data are then on disk. If another file has appeared at `path` since `check_new` and `overwrite`
+    With `synced` its data are on disk by then. If another file has appeared at `path` since `check_new` and `overwrite`
     is False, the new file gets the next free name, and a HapticdError with this name is raised.
     """
     check_regular(path)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Final
 
-# Not through hapticd.base.core, which imports numpy: 11 MB that other processes do not need.
+# Imported directly: hapticd.base.core imports numpy, 11 MB that some processes do not need.
 from hapticd._core import ffi, lib
 from hapticd.base.errors import HapticdError
 
 MIN_RETURNED_BLOCK_BYTES: Final = 16 * 1024
 """Blocks of at least 16 KiB are returned to the kernel; a telemetry message at 10 kHz has 22 kB.
 
-Such buffers do not fragment the heap then: no smaller block is allocated between them.
+These blocks then do not fragment the heap, because no smaller block is allocated between them.
 """
 
 

@@ -57,13 +57,13 @@ Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME
 """Name of a material or id of an object: without a dot, which separates the keys of a path."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]
-"""Unit: m."""
+"""A coordinate of the workspace, in m."""
 Position: TypeAlias = Annotated[tuple[Coordinate, Coordinate], Strict(False)]
 """[x, y] in m."""
 Stiffness: TypeAlias = Annotated[float, Field(ge=0, le=1e5)]
-"""Unit: N/m."""
+"""A stiffness, in N/m."""
 Damping: TypeAlias = Annotated[float, Field(ge=0, le=1e3)]
-"""Unit: N s/m."""
+"""A damping coefficient, in N s/m."""
 
 
 class Model(BaseModel):
@@ -100,7 +100,7 @@ class Model(BaseModel):
 
     @classmethod
     def parsed(cls, data: object) -> Self:
-        """Validate for a reader of documents, which adds file and line of faults. Raises pydantic's ValidationError."""
+        """Validate for a reader of documents, which adds file and line to faults. Raises pydantic's ValidationError."""
         return super().model_validate(data)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -115,7 +115,7 @@ class Model(BaseModel):
             raise TypeError(f"two models are called {cls.__name__}; error messages find a model by its name")
 
     def to_dict(self, without: set[str] | None = None) -> dict[str, Json]:
-        """Return the canonical form as plain data, which is valid input: with defaults, without absent options.
+        """Return the model as plain data, which is valid input: with all defaults, without optional keys that are null.
 
         `without` names members to leave out.
         """
@@ -289,7 +289,7 @@ _KINDS_WITHOUT_VALUE: Final = frozenset({"missing", "too_long", "too_short", "un
 
 
 def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]:
-    """Return the user's path of a fault, and pydantic's text with the value that was found."""
+    """Return the path of a fault in the user's document, and pydantic's text with the value that was found."""
     kind, value, context = details["type"], details["input"], details.get("ctx", {})
     path, known = _user_path(model, details)
     if kind == "extra_forbidden":
@@ -323,7 +323,7 @@ def _follows_from_another(details: ErrorDetails) -> bool:
 
 
 def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, tuple[str, ...]]:
-    """Return the user's path of a fault, and the keys that are known there.
+    """Return the path of a fault in the user's document, and the keys that are known there.
 
     pydantic's locations also name the chosen member of a union, and `[key]` for the key of a mapping. Following the
     types along the location distinguishes these from a user's keys of the same name.

@@ -1,6 +1,6 @@
 """Background threads, and whether they can be started: a user's limit of processes (RLIMIT_NPROC) counts each.
 
-libzmq starts threads too, and aborts the process if the system refuses one, so `check` is called before it does.
+libzmq starts threads too, and aborts the process if the system refuses one, so `check` must be called earlier.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ THREAD_START_ERROR: Final = "can't start new thread"
 CLIENT_THREADS: Final = 2
 """Threads of libzmq in a client: one for the connections, one that closes sockets."""
 DAEMON_THREADS: Final = 16
-"""More threads than a daemon has with a device, while it reloads its configuration."""
+"""Upper bound of the threads of a daemon, which has most while it drives a device and reloads its configuration."""
 
 
 def refused() -> str:

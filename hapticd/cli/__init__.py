@@ -68,7 +68,7 @@ class _LazyGroup(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            # As an ordinary exit, since click prints an empty line for an interrupt.
+            # Converted to an ordinary exit, since click prints an empty line for an interrupt.
             raise click.exceptions.Exit(130) from None
         except BrokenPipeError as error:
             # Click would exit without a message.

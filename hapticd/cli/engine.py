@@ -87,7 +87,7 @@ def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome
 
 
 def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict[str, object]:
-    """Return the outcome for --json. `what` is the key of their number: "points"."""
+    """Return the outcome for --json. `what` is the key of the number of points: "points"."""
     fields = asdict(outcome)
     for name in ("seconds", "worker_seconds"):
         fields[name] = round(fields[name], 3)

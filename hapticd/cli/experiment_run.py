@@ -321,7 +321,7 @@ def _run(
     try:
         ending = session.run()
     finally:
-        # Also after an interruption: the tables have everything in the log.
+        # Tables are written after an interruption, too: they have everything in the log.
         write_tables(folder)
     unneeded = len(session.done) - session.answered
     most = "at most " if plan.study.may_end_early else ""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class OutputLost(HapticdError, OSError):
     """Standard output cannot be written: a closed pipe, a full disk, a closed terminal.
 
-    `errno` is not set: click and rich exit without a message if they see that of a closed pipe.
+    `errno` is not set: click and rich exit without a message if an exception has the errno of a closed pipe.
     """
 
 

@@ -152,7 +152,7 @@ def _print(folder: Path, title: str, columns: Sequence[Column], rows: Sequence[d
         table.add_column(head, justify="left" if column.kind == "text" else "right", no_wrap=True)
     for row in rows[:_MAX_PRINTED_ROWS]:
         table.add_row(*(shown(row[column.name]) for column in drawn))
-    # At its full width: a terminal wraps long lines, while rich would cut numbers off.
+    # The table is printed at its full width: a terminal wraps long lines, while rich would cut numbers off.
     wide = Measurement.get(
         Console(width=_MAX_MEASURED_WIDTH), Console(width=_MAX_MEASURED_WIDTH).options, table
     ).maximum

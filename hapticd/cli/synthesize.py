@@ -215,7 +215,7 @@ def _values(owner: object, *names: str) -> _Truth:
 
 
 def _seeded(stylus: Stylus, count: int) -> list[Stylus]:
-    """Return a stylus with a separate seed for each recording; up to 1000 share no seed with another --seed."""
+    """Return a stylus for each recording, each with a separate seed; 1000 recordings share none with another --seed."""
     return [replace(stylus, seed=1000 * stylus.seed + index) for index in range(count)]
 
 

@@ -204,7 +204,7 @@ class Client(ABC):
     async def update_scene(
         self, objects: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
-        """Merge changes into objects, by id: a JSON Merge Patch (RFC 7396) of `objects` of the scene; None removes."""
+        """Merge changes into objects, by id: a JSON Merge Patch (RFC 7396) of the scene's `objects`."""
         params: dict[str, object] = {"objects": patch_tree(objects, "scene", "objects")}
         return await self._change("update_scene", params, expect_revision, wait)
 
@@ -382,7 +382,7 @@ class Client(ABC):
     async def record(
         self, /, path: str | os.PathLike[str], overwrite: bool = False, **notes: object
     ) -> AsyncIterator[Recorder]:
-        """Record every tick and every event to `path` while the block runs: .npz, or an export of it.
+        """Record every tick and every event to `path` while the block runs: .npz, or .csv or .mcap exported from it.
 
         A thread with a separate connection records, from before the block begins until all its effects are recorded.
         `notes` are JSON values, which are stored in the file. Yields a Recorder, whose `result` is available after the

@@ -83,7 +83,7 @@ class RecordSummary:
     """Warning if the fraction of missed periods exceeds `servo.overruns.threshold`, otherwise None."""
 
     def summary(self) -> str:
-        """Return a line of text."""
+        """Return the summary as a line of text."""
         missing = self.lost + self.dropped
         lost = "nothing lost"
         if missing:

@@ -99,7 +99,7 @@ class View:
 
     @property
     def wants_scene(self) -> bool:
-        """Whether the scene in the picture is not that of the daemon."""
+        """Whether the daemon's scene has changed since the last `set_scene`."""
         return self.lost_for_s is None and self.state is not None and self.state["revision"] != self.scene_revision
 
     def set_scene(self, scene: Mapping[str, object], revision: int) -> None:
@@ -340,7 +340,7 @@ def _draw(client: Client, messages: _Messages, console: Console, lasts_s: float)
             now_s = time.monotonic()
             if view.wants_scene and now_s - asked_s > 1.0:
                 asked_s = now_s
-                # Requested again if there is no reply; the end of the daemon is noticed by silence.
+                # Without a reply the scene is requested again; that the daemon has ended shows in missing telemetry.
                 with suppress(HapticdError):
                     answer = client.get_scene()
                     view.set_scene(answer["scene"], answer["revision"])

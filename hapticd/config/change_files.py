@@ -30,7 +30,7 @@ class _ChangeParts(Model):
 
 @dataclass(frozen=True, slots=True)
 class ChangeFiles:
-    """Validated materials and scene of the files, None if missing. Faults that the daemon reports get file and line."""
+    """Validated materials and scene of the files, None if missing, with the file and line of each value."""
 
     materials: FromFile | None
     scene: FromFile | None

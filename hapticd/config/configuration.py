@@ -24,13 +24,13 @@ DEFAULT_CONFIG_FILE = "default.yaml"
 """Shipped file of the built-in configuration."""
 
 Compensation: TypeAlias = Literal["off", "mass", "full"]
-"""Dynamics for which strikes are compensated: none, the mass, or handle and hand."""
+"""Dynamics for which strikes are compensated: none; the mass; mass, spring and damper of handle and hand."""
 ActuatorForce: TypeAlias = Annotated[float, Field(ge=0.01, le=100)]
 """Maximum force of an actuator, in N."""
 
 
 class Overruns(Model):
-    """Limit of missed periods, and the reaction to more."""
+    """The largest allowed share of missed periods, and the reaction if more are missed."""
 
     threshold: float = Field(
         default=0.1, ge=0.001, le=1, description="Largest fraction of missed periods in a second; 1: all."
@@ -57,7 +57,7 @@ class Servo(Model):
     clock: Literal["timer", "device"] = Field(
         default="timer", description="What starts a tick: a timer, or the position reports of a HID device."
     )
-    overruns: Overruns = Field(default=Overruns(), description="Missed periods.")
+    overruns: Overruns = Field(default=Overruns(), description="Reaction to missed periods.")
     stream_timeout_s: float = Field(
         default=0.02,
         ge=0.002,
@@ -221,7 +221,7 @@ class Device(Model):
         default="off",
         description="Correction of strikes: none, for mass and zero-order hold, or for mass, spring, damper and hold.",
     )
-    # After the fields that give its default.
+    # Defined after the fields that its default depends on.
     effective_mass_kg: float = Field(
         default_factory=_moving_mass_kg,
         ge=1e-4,

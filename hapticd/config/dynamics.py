@@ -2,7 +2,7 @@
 
     (m + m_h) x'' + (b + b_h) x' + k (x - w) = F,
 
-with handle (m, b), hand (m_h, b_h, k) and the reference w of the hand.
+with handle (m, b), hand (m_h, b_h, k) and the position w to which the hand's spring pulls.
 """
 
 from __future__ import annotations

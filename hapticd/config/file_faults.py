@@ -16,7 +16,7 @@ class Source(Protocol):
 
 
 class FromFile(dict[str, object]):
-    """Params of a method, or one of their values, read from a document at the path `root`."""
+    """Params of a method, or a value in params, read from a document at the path `root`."""
 
     def __init__(self, value: Mapping[str, object], document: Source, root: Path = ()) -> None:
         super().__init__(value)

@@ -50,9 +50,10 @@ class HandleAxis(Model):
 class HandleAxes(Model):
     """The axes of the handle."""
 
-    x: HandleAxis = Field(default=HandleAxis(usage="X"), description="To the right.")
+    x: HandleAxis = Field(default=HandleAxis(usage="X"), description="The axis to the right.")
     y: HandleAxis = Field(
-        default=HandleAxis(usage="Y", sign=-1), description="Away from the user; HID's Y grows towards the user."
+        default=HandleAxis(usage="Y", sign=-1),
+        description="The axis away from the user; HID's Y grows towards the user.",
     )
 
 
@@ -138,8 +139,8 @@ class VendorInput(Model):
     """The input report that holds positions."""
 
     report_id: ReportId = Field(default=0, description="Id of the report; 0 if reports are not numbered.")
-    x: VendorInputAxis = Field(description="To the right.")
-    y: VendorInputAxis | None = Field(default=None, description="Away from the user; null: none.")
+    x: VendorInputAxis = Field(description="The position to the right.")
+    y: VendorInputAxis | None = Field(default=None, description="The position away from the user; null: none.")
 
     @model_validator(mode="after")
     def _fields_disjoint(self) -> Self:
@@ -153,8 +154,8 @@ class VendorOutput(Model):
 
     report_id: ReportId = Field(default=0, description="Id of the report; 0 if reports are not numbered.")
     length: int = Field(ge=1, le=MAX_REPORT_BYTES, description="Size of the report in bytes, without the id.")
-    x: VendorOutputAxis = Field(description="To the right.")
-    y: VendorOutputAxis | None = Field(default=None, description="Away from the user; null: none.")
+    x: VendorOutputAxis = Field(description="The force to the right.")
+    y: VendorOutputAxis | None = Field(default=None, description="The force away from the user; null: none.")
 
     @model_validator(mode="after")
     def _fields_inside(self) -> Self:
@@ -171,8 +172,8 @@ class VendorOutput(Model):
 class VendorReport(Model):
     """Report formats of a device that is not of the PID class."""
 
-    input: VendorInput = Field(description="Positions.")
-    output: VendorOutput = Field(description="Forces.")
+    input: VendorInput = Field(description="The input report with the positions.")
+    output: VendorOutput = Field(description="The output report with the forces.")
     enable: Annotated[tuple[HexReport, ...], Field(max_length=64, strict=False)] = Field(
         default=(),
         description="Reports that switch the device on: hex digits, the id first; a feature report begins with "

@@ -106,7 +106,7 @@ _RINGING_KEYS: Final[tuple[str, ...]] = (
     "mode_table",
     "second",
 )
-"""Keys of a tap with modes."""
+"""Keys of a tap that is played as modes, not as a waveform."""
 _ONE_MODE_KEYS: Final = _RINGING_KEYS[:4]
 """Keys of a tap with the same mode at all approach speeds."""
 
@@ -164,7 +164,7 @@ class Tap(AimedKeys):
 
     @property
     def mode(self) -> Mode:
-        """The mode; for a mode table, its mode in the middle of the speeds."""
+        """The tap's mode; for a mode table, the mode in the middle of its speeds."""
         return super().mode if self.mode_table is None else self.mode_table.middle
 
     def mode_at(self, speed_m_per_s: float) -> Mode:
@@ -173,14 +173,14 @@ class Tap(AimedKeys):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """The mode; for a mode table its modes of lowest and highest frequency; empty for a waveform."""
+        """The tap's mode; for a mode table its modes of lowest and highest frequency; empty for a waveform."""
         if self.waveform is not None:
             return ()
         return (self.mode,) if self.mode_table is None else self.mode_table.bounds
 
     @property
     def ringing(self) -> Mode | None:
-        """The mode, or None for a waveform."""
+        """As `mode`, but None for a waveform."""
         return None if self.waveform is not None else self.mode
 
     @property
@@ -301,7 +301,7 @@ class Provenance(Model):
     """Origin of a material's values. It has no influence on forces."""
 
     files: Annotated[tuple[ProvenanceFile, ...], Strict(False), at_most(MAX_PROVENANCE_FILES)] = Field(
-        min_length=1, max_length=MAX_PROVENANCE_FILES, description="The recordings."
+        min_length=1, max_length=MAX_PROVENANCE_FILES, description="The recordings that were fitted."
     )
     date: Annotated[str, StringConstraints(pattern=r"^[0-9]{4}-[0-9]{2}-[0-9]{2}$"), AfterValidator(_a_day)] = Field(
         description="Day of the fit, year-month-day."
@@ -336,7 +336,7 @@ class Material(Model):
         default=None, description="Rupture of a membrane; without it a membrane never ruptures."
     )
     friction: Friction | None = Field(default=None, description="Coulomb friction; without it none.")
-    # After `tap`, whose mode grooves may use.
+    # Defined after `tap`, whose mode grooves may use.
     texture: Texture | None = Field(
         default=None, description="Texture under a stroke; without it the surface is smooth."
     )

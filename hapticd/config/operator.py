@@ -62,7 +62,7 @@ PRESS_TIME_S: Final = 0.15
 SPEED_TOLERANCE: Final = 0.01
 """Maximum relative deviation of the handle's speed from the commanded speed at contact."""
 CLEARANCE_HEIGHT_M: Final = 0.005
-"""Height from which the hand is lowered for a stroke; margin of other heights and of a puncture's depth."""
+"""Height from which the hand is lowered for a stroke; also added to other heights and to a puncture's depth."""
 
 _CSV_COLUMNS: Final = ("t_s", "x_m", "y_m")
 
@@ -93,7 +93,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """Grip of the hand; `moving_mass_kg` is the mass of hand and handle together."""
+    """Spring and damper of the hand on the handle; `moving_mass_kg` is the mass of hand and handle together."""
 
     stiffness_n_per_m: float
     damping_n_s_per_m: float = 5.0
@@ -103,7 +103,8 @@ class Grip:
     def settling_s(self) -> float:
         """Time in s, at most 1, after which the handle follows a new speed of its target within SPEED_TOLERANCE.
 
-        The error is (p exp(p t) - q exp(q t))/(p - q), p and q the roots of M s^2 + b s + k.
+        The relative error of the speed is (p exp(p t) - q exp(q t))/(p - q), with p and q the roots of M s^2 + b s + k:
+        moving mass M, damping b, stiffness k.
         """
         half = self.damping_n_s_per_m / (2 * self.moving_mass_kg)
         root = cmath.sqrt(half * half - self.stiffness_n_per_m / self.moving_mass_kg)
@@ -318,7 +319,7 @@ class _Path:
             self._add(distance / speed)
 
     def stay(self, duration_s: float) -> None:
-        """Stay for a time."""
+        """Keep the hand still for a time."""
         self._add(duration_s)
 
     def begin(self, at: float, height: float) -> None:

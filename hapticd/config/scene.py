@@ -134,7 +134,10 @@ class Wall(Model):
     material: Name = Field(description="Name of a material.")
     patches: Patches = Field(default=(), description="Sections with other materials, which do not overlap.")
     patch_ramp_m: float = Field(
-        default=0.001, ge=1e-5, le=1, description="Width of the blend between two materials, centred on their edge."
+        default=0.001,
+        ge=1e-5,
+        le=1,
+        description="Width of the blend between two materials, centred on the edge between them.",
     )
 
     def stretches(self) -> tuple[list[float], list[str]]:

@@ -290,7 +290,7 @@ class AutoregressiveModel(CheckedTogether):
     )
 
     def level(self, reflection: Sequence[float]) -> float:
-        """Return the RMS of x in m/s^2: the given one, or sqrt(variance / prod(1 - k^2)), k the `reflection`."""
+        """Return the RMS of x in m/s^2: the given one, or sqrt(variance / prod(1 - k^2)), k in `reflection`."""
         if self.rms_m_per_s2 is not None:
             return self.rms_m_per_s2
         assert self.variance_m2_per_s4 is not None
@@ -317,7 +317,9 @@ class Autoregressive(CheckedTogether):
     kind: Literal["autoregressive"] = Field(description="Kind of the texture.")
     rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate of the recordings.")
     models: Annotated[tuple[AutoregressiveModel, ...], Strict(False), at_most(MAX_MODELS)] = Field(
-        min_length=1, max_length=MAX_MODELS, description="Each at a different speed and force, on a grid or scattered."
+        min_length=1,
+        max_length=MAX_MODELS,
+        description="Models, each at a different speed and force, on a grid or scattered.",
     )
     threshold_m_per_s: Threshold = Field(
         default=0.002, description="Tangential speed below which the noise fades; at rest it is silent."

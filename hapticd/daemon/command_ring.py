@@ -1,6 +1,7 @@
 """The command ring: sends commands to the servo, loses none, and waits for the tick that takes them.
 
-A play is a mode that the method `play` strikes; it is kept until the servo has struck it. For the command thread.
+A play is a ringing mode that the method `play` starts ("strikes"); it is kept here until the servo has struck it. Only
+the command thread may use this module.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ SERVO_POLL_INTERVAL_NS: Final = 50_000_000
 
 
 class RingFullError(HapticdError):
-    """The command ring is full: the servo has not taken earlier commands, and none of these was sent."""
+    """The command ring is full of commands that the servo has not taken; none of the new commands was sent."""
 
 
 class WaitTimeoutError(HapticdError):
@@ -37,7 +38,7 @@ class WaitTimeoutError(HapticdError):
 
 
 class Play(NamedTuple):
-    """A mode that the method `play` strikes, independent of the servo's rate."""
+    """A ringing mode that the method `play` strikes, in a form that does not depend on the servo's rate."""
 
     mode: Mode
     attack: Attack
@@ -52,7 +53,7 @@ class Play(NamedTuple):
 
 
 class CommandRing:
-    """The commands of one servo."""
+    """Sends commands to one servo."""
 
     def __init__(self, servo: CData, poll_servo: Callable[[], None]) -> None:
         """Use the ring of `servo`, and call `poll_servo` while waiting for it."""
@@ -93,10 +94,11 @@ class CommandRing:
         )
 
     def wait(self, taken: Callable[[int, CData], int], failure: str) -> int:
-        """Wait until `taken` returns OK, and return the tick that it stored.
+        """Wait until `taken` returns OK, and return the tick that `taken` stored.
 
-        `taken` gets the nanoseconds that it may wait. Between its calls the servo is polled, because only this thread
-        can restart it after an overload. Raises WaitTimeoutError, whose text begins with `failure`.
+        `taken` gets the nanoseconds that it may wait, and where to store the tick. Between its calls the servo is
+        polled, because only this thread can restart it after an overload. Raises WaitTimeoutError, whose text begins
+        with `failure`.
         """
         tick = ffi.new("uint64_t *")
         until_ns = time.monotonic_ns() + int(COMMAND_TIMEOUT_S * 1e9)

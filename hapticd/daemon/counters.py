@@ -18,7 +18,7 @@ _MEMORY_KINDS: Final = ("none", "servo", "process")
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """The scheduling and memory privileges that the servo got; `missing` names in words those that it did not get."""
+    """The scheduling and memory privileges that the servo got; `missing` describes those that were refused."""
 
     scheduler: Literal["fifo", "other"]
     priority: int
@@ -65,7 +65,7 @@ def missing_of(grant: CData, servo: Servo) -> list[str]:
 
 
 class Histogram(NamedTuple):
-    """A histogram: counts[i] counts times t with edges_ns[i - 1] <= t < edges_ns[i]; both ends are open."""
+    """A histogram: counts[i] counts times t with edges_ns[i - 1] <= t < edges_ns[i]; the outer bins are unbounded."""
 
     edges_ns: tuple[int, ...]
     counts: list[int]
@@ -94,13 +94,13 @@ class Counters(NamedTuple):
     """Number of times that the machine was suspended."""
     revision: int
     latched: int
-    """The bits of `faults`."""
+    """The latched faults as bits, which `faults` decodes."""
     forces_on: bool
     running: bool
     memory_refused: int
     """errno of the last attempt to lock memory for a grown scene; 0: memory is locked as granted."""
     overloaded: bool
-    """An overload has ended the servo thread, or is about to; it is then restarted at a lower rate."""
+    """Whether an overload has ended the servo thread, or is about to; it is then restarted at a lower rate."""
     missed_share: float
     """Fraction of the periods of the last complete second that were missed."""
     signs_word: int
@@ -134,15 +134,15 @@ class StreamCounters(NamedTuple):
     superseded: int
     """Values that a newer one replaced before a tick took them."""
     limited: int
-    """Used values that could not be followed exactly because they were too large or changed too fast."""
+    """Used values that the servo could not follow exactly because they were too large or changed too fast."""
     timeouts: int
     """Number of times that no value came for `servo.stream_timeout_s`."""
     seq: int
     """Sequence number of the last value that was used; 0 before the first."""
     tick: int
-    """The tick that used that value; 0 before the first."""
+    """The tick that used the last value; 0 before the first."""
     active: bool
-    """A value came within `servo.stream_timeout_s`."""
+    """Whether a value came within `servo.stream_timeout_s`."""
 
 
 TOTAL_COUNTER_NAMES: Final = Counters._fields[: Counters._fields.index("suspends") + 1]
@@ -174,7 +174,7 @@ def read_stream_counters(servo: CData, kind: StreamKind) -> StreamCounters:
 
 
 def read_histograms(servo: CData) -> tuple[Histogram, Histogram]:
-    """Read the histograms of lateness and of work time since the start. For any thread."""
+    """Read the histograms of the ticks' lateness and work time since the servo's start. For any thread."""
     raw = ffi.new("struct hd_histograms *")
     lib.hd_servo_histograms(servo, raw)
     return _histogram_of(raw.lateness), _histogram_of(raw.work)

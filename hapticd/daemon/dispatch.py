@@ -2,8 +2,8 @@
 
 Requests that change the scene or materials are carried out one at a time, in the order of their arrival, and in steps:
 between two steps other requests are answered (docs/adr/0002, 0024, 0058). A reload of the configuration is such a
-change; all signals that arrive before it begins cause one reload. The heartbeat shows the servo that commands are
-served.
+change; all signals that arrive before it begins cause one reload. The heartbeat shows the servo that this
+thread is alive.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from hapticd.system.repeated_lines import Repeats
 MAX_WAITING_CHANGES: Final = 64
 """Changes that may wait for their turn. docs/protocol.md states it."""
 MAX_WAITING_CHANGE_BYTES: Final = 2 * messages.MAX_BODY_BYTES
-"""Size of the bodies of all waiting changes."""
+"""Largest size of the bodies of all waiting changes together."""
 CHANGE_SLICE_NS: Final = 5_000_000
 """Time that a change runs before other requests are served; its current step is finished first."""
 BEAT_INTERVAL_S: Final = 0.1
-"""Longest time between two heartbeats. Without one for a second the servo fades the forces out."""
+"""Longest time between two heartbeats. A servo that gets none for a second fades the forces out."""
 CHORES_INTERVAL_S: Final = 0.02
 """Interval of heartbeat, servo poll, log and slices of changes while requests come without a pause."""
 
@@ -56,7 +56,7 @@ class _Change:
     size: int
     """Size of the request's body, in bytes."""
     ended: bool = False
-    """The change is in force or was refused."""
+    """Whether the change is in force or was refused."""
 
     def run_slice(self) -> Result | None:
         """Run steps for CHANGE_SLICE_NS, and return the result, or None if steps remain.
@@ -139,7 +139,7 @@ class Dispatch:
         """Queue a requested reload. Must be called often, and soon after `wake`."""
         if self._reload.is_set() and not self._reload_waits:
             self._reload_waits = True
-            # Its result and its errors, unexpected ones too, are logged.
+            # The outcome of the reload is logged, also an unexpected error.
             self._add(_Change(messages.Request(0, True, "reload", {}), self._reloading(), _notify_ready, 0))
 
     def continue_change(self) -> None:

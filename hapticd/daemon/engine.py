@@ -83,14 +83,14 @@ SAMPLE_CAPACITY: Final = 16384
 """Capacity of the ring of samples: more than a second at 10 kHz, longer than a garbage collection."""
 
 DEVICE_TIMEOUT_S: Final = 0.1
-"""Age of a report, beyond the usual one, above which the device counts as lost."""
+"""The device counts as lost if its newest report is older than usual by this time."""
 FROZEN_FORCE_FRACTION: Final = 0.1
-"""A position that does not change under this fraction of the maximum force or more counts as frozen.
+"""Fraction of the maximum force. A position that does not change under so large a force counts as frozen.
 
 `device.frozen_after_s` enables the check.
 """
 MAX_UNSENT_CHANGES: Final = 1024
-"""Changes that wait to be sent to subscribers; beyond it the oldest are dropped."""
+"""Most changes that wait to be sent to subscribers; beyond this number the oldest are dropped."""
 
 MIN_STEP_DOWN_RATE_HZ: Final = 1000.0
 """Lowest rate to which an overload may reduce the rate of the servo (a step down)."""
@@ -218,7 +218,7 @@ class Engine:
         return None if loop is None else SurfaceMargins(loop)
 
     def _overrun_action(self, rate_hz: float) -> OverrunAction:
-        """Return the action on an overload at this rate: a fault replaces a step down to less than the minimum."""
+        """Return the action on an overload at this rate: a fault if a step down would go below the minimum rate."""
         action = OverrunAction[self.config.servo.overruns.action.upper()]
         if action == OverrunAction.STEP_DOWN and rate_hz < 2.0 * MIN_STEP_DOWN_RATE_HZ:
             return OverrunAction.FAULT
@@ -278,7 +278,7 @@ class Engine:
         return self.granted
 
     def stop(self) -> None:
-        """Fade the force out over the ramp, set it to zero, end the servo thread and close the device."""
+        """Fade the force to zero within the ramp time, end the servo thread and close the device."""
         self._idle_lock.release()
         ended = lib.hd_servo_stop(self._servo)
         self._disconnect()
@@ -356,7 +356,7 @@ class Engine:
     ) -> int:
         """Put a validated scene and its materials in force at once, and return their revision.
 
-        `changed`: ids of all objects that may differ or are removed; None: they are found by comparison. `expected`:
+        `changed`: ids of all objects that may differ or are removed; None: compare all objects. `expected`:
         the revision that must be in force before, else StaleRevisionError is raised. If scene and materials are already
         in force, the revision stays.
         """
@@ -407,7 +407,7 @@ class Engine:
         )
 
     def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
-        """Return the vibrations that the rate cannot carry, and warnings of inexact display. For any thread."""
+        """Return the vibrations of too high a frequency, and warnings of inexact display. For any thread."""
         scene, materials, _ = self.state
         objects = of_all_materials(scene.objects)
         reports = {name: self.report_of(name, each) for name, each in materials_in(objects, materials).items()}
@@ -435,13 +435,13 @@ class Engine:
         return 0 if self._offload is None else self._offload.version
 
     def offloaded(self) -> list[Offloaded]:
-        """Return for each tap and rupture whether the device plays it, and why not. For any thread."""
+        """Return for each tap and rupture whether the device plays it, or why not. For any thread."""
         if self._offload is None:
             return []
         return self._offload.outcomes(materials_in(self.scene.objects, self.materials))
 
     def margins(self, touched: bool = False) -> dict[str, float | None] | None:
-        """Return the margin of each surface by object id: the factor by which its stiffness alone may grow.
+        """Return the stability margin of each surface by object id: the factor by which its stiffness alone may grow.
 
         A margin of None is unlimited. `touched`: only the surfaces that the last change added or changed. Returns None
         if mass and damping of the handle are not known.
@@ -482,7 +482,7 @@ class Engine:
     def play(
         self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
     ) -> tuple[int, float | None]:
-        """Strike a mode, and return the tick that took it and the frequency displayed (None: the rate cannot carry it).
+        """Strike a mode, and return the tick that took it and the frequency displayed (None: it is too high).
 
         After a WaitTimeoutError the mode may still be struck, at the rate that the servo has then.
         """
@@ -512,7 +512,7 @@ class Engine:
         return tick, None if shown is None else shown.frequency_hz
 
     def reset(self, ids: Iterable[str] | None) -> int:
-        """Heal membranes and clear the contact state of these objects or of all; return the tick that took it."""
+        """Heal membranes and clear the contact state of `ids`, or of all objects; return the tick that did it."""
         commands = []
         ids = None if ids is None else tuple(ids)
         if ids is None:
@@ -531,7 +531,7 @@ class Engine:
         return tick
 
     def set_forces(self, enabled: bool) -> int:
-        """Turn forces on or off, and return the tick that took it. On clears latched faults whose cause has ended."""
+        """Turn forces on or off, and return the tick that did it. Turning on clears faults whose cause has ended."""
         command = self._command(CommandKind.FORCES)
         command.value = enabled
         return self._ring.send([command])
@@ -619,11 +619,11 @@ class Engine:
         return read_counters(self._servo)
 
     def histograms(self) -> tuple[Histogram, Histogram]:
-        """Return the histograms of lateness and of work time since the start. For any thread."""
+        """Return the histograms of the ticks' lateness and work time since the servo's start. For any thread."""
         return read_histograms(self._servo)
 
     def read_changes(self) -> Iterator[Change]:
-        """Yield the changes that commands made since the last call. For one thread."""
+        """Yield the changes that commands made since the last call. Only one thread may call it."""
         with suppress(IndexError):
             while True:
                 yield self._changes.popleft()

@@ -1,7 +1,7 @@
 """The flight recorder: keeps the last seconds of samples and events, and writes them on a fault or on request.
 
 The telemetry thread passes it all samples and events. Samples are kept in a circular array of fixed size (1.1 MB a
-second at 10 kHz); flight_scene.py keeps their scene, so that they can be rendered again from a file. A separate thread
+second at 10 kHz); flight_scene.py keeps their scene, so that a file suffices to render them again. A separate thread
 writes a copy of the array, so that no other thread waits for the disk. The file of a fault is begun FAULT_AFTERMATH_S
 after the fault, so that it shows the consequences.
 """
@@ -34,7 +34,7 @@ from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 FAULT_AFTERMATH_S: Final = 1.0
 """Time after a fault that its file includes."""
 MAX_KEPT_EVENTS: Final = 5000
-"""Events that are kept, the newest."""
+"""Number of events that are kept: the newest ones."""
 CHUNK_SAMPLES: Final = 3200
 """Samples that are written in one call: 360 kB."""
 _OPAQUE_SAMPLE_DTYPE: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
@@ -89,7 +89,7 @@ class Flight:
     ) -> None:
         """Keep the last `seconds` of samples in memory, and the newest `keep` files in `directory`.
 
-        `texts` returns further members of a file, as in recordings.
+        `texts` returns the configuration and the status, which a file contains as well.
         """
         self._scene, self._read_clock = scene, read_clock
         self._moments: deque[Moment] = deque([read_clock()])
@@ -138,7 +138,7 @@ class Flight:
         self._scene.take(change)
 
     def keep_event(self, event: dict[str, object]) -> None:
-        """Keep an event as it is sent; a fault requests a file."""
+        """Keep an event in the form that subscribers get. A fault requests a file."""
         self._events.append(event)
         if event["event"] == "fault" and event["faults"]:
             self._fault(int(str(event["tick"])))
@@ -262,7 +262,7 @@ class Flight:
         )
 
     def wake(self) -> None:
-        """End `run`."""
+        """End `run` once it has written the files that were passed before."""
         self._jobs.put(None)
 
     def _write(self, job: _Job) -> None:

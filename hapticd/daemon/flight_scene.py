@@ -1,7 +1,7 @@
 """The scene at the oldest sample that the flight recorder keeps, and the changes since.
 
 Only the telemetry thread calls it. Memory is bounded: if more changes than MAX_KEPT_CHANGES come within the seconds
-that are kept, the oldest are applied to the scene. Samples before them are in a file, but cannot be rendered again.
+that are kept, the oldest are applied to the scene. Samples from before these changes cannot be rendered again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hapticd.protocol.changes import (
 )
 
 MAX_KEPT_CHANGES: Final = 4000
-"""Largest size of the kept changes: 1 for each, plus its `pieces` or the number of ids that it resets."""
+"""Largest sum over the kept changes: 1 each, the `part_count` of its parts, and the number of ids that it resets."""
 
 
 class _Base(NamedTuple):

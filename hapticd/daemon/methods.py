@@ -77,7 +77,7 @@ _MAX_PARAM_MEMBERS: Final = 16
 
 
 class _Proposed(NamedTuple):
-    """The scene and materials of a requested change, validated except for names of materials and for the rate."""
+    """The scene and materials of a requested change. Names of materials and limits of the rate are still unchecked."""
 
     scene: Scene
     materials: Materials
@@ -88,7 +88,7 @@ class _Proposed(NamedTuple):
     sent: Collection[str] = ()
     """Names of the materials that the request contains."""
     changed: Collection[str] | None = ()
-    """Ids of the objects that may differ or are removed; None: they are found by comparison."""
+    """Ids of the objects that may differ or are removed; None: all objects must be compared."""
 
 
 class _Changed(NamedTuple):

@@ -48,13 +48,13 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a socket."""
+    """Limits of the connections and the messages of a socket."""
 
     message: zmtp.Bounds
     connections: int = MAX_SOCKET_CONNECTIONS
     process_connections: int = MAX_SOCKET_CONNECTIONS // 4
     buffers: int = 96 * 1024 * 1024
-    """Bytes of all peers together in incomplete messages and in unread answers."""
+    """Most bytes of all peers together in incomplete messages and in unread answers."""
 
     def of(self, connections: int) -> Limits:
         """Return the same limits for a different number of connections."""
@@ -63,7 +63,7 @@ class Limits:
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """A connection. `held`: its bytes in Limits.buffers."""
+    """A connected peer. `held`: the bytes that it uses of Limits.buffers."""
 
     sock: socket.socket
     uid: int
@@ -336,7 +336,7 @@ class Peers:
         self._account(peer)
 
     def _refill(self, peer: Peer) -> None:
-        """Queue more data, if there is any: everything queued was sent."""
+        """Queue more data, if there is any. Called once everything queued was sent."""
 
     # ---- connecting ------------------------------------------------------------------------------------------------
 
@@ -417,7 +417,7 @@ class Peers:
         return next(reversed(max(processes.values(), key=len).values()))
 
     def _account(self, peer: Peer) -> None:
-        """Update the memory that a peer uses, and end the peers that use most while all use too much together."""
+        """Update the memory that a peer uses; while all use over Limits.buffers, end the peer that uses most."""
         held = peer.parser.held + peer.unsent
         if held == peer.held or peer.closed:
             return

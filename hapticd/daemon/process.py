@@ -52,7 +52,7 @@ The command thread waits for the interpreter after each system call.
 """
 
 MAX_LOGGED_MARGINS: Final = 3
-"""Surfaces whose margin is logged at the start, the lowest first."""
+"""Surfaces whose stability margin is logged at the start, the lowest first."""
 
 _HANDLED_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -153,7 +153,7 @@ def _run(
 
 
 def _log_limits(engine: Engine, granted: Granted, chosen: ConfigFiles) -> None:
-    """Log the files, missing privileges, limits of display and low margins of stability."""
+    """Log the configuration files, missing privileges, what cannot be displayed, and low stability margins."""
     _log.info("configuration: %s", chosen)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)

@@ -22,16 +22,16 @@ from hapticd.protocol import zmtp
 from hapticd.system.repeated_lines import Since
 
 MAX_QUEUED_MESSAGES: Final = 400
-"""Messages in the queue of a subscriber: eight seconds of samples."""
+"""Most messages in the queue of a subscriber: eight seconds of samples."""
 MAX_QUEUED_BYTES: Final = 10 * 1024 * 1024
-"""Bytes in the queue of a subscriber, without the newest message."""
+"""Most bytes in the queue of a subscriber, without the newest message."""
 MAX_USELESS_SUBSCRIPTIONS: Final = 1000
 """Subscriptions that match no topic, and invalid messages, after which a subscriber is disconnected."""
 
 _MAX_TURNS_PER_WAIT: Final = 20
 """Turns of subscribers after which the thread pauses, so that the command thread gets the interpreter."""
 _TURNS_PAUSE_S: Final = 0.005
-"""Length of that pause."""
+"""Length of the pause after _MAX_TURNS_PER_WAIT turns."""
 _LOSS_LOG_INTERVAL_S: Final = 1.0
 """Interval in which dropped messages are logged."""
 

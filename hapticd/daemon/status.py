@@ -37,7 +37,7 @@ class Status:
         self._overruns = {**servo.overruns.to_dict(), "configured_rate_hz": servo.rate_hz}
 
     def report(self) -> dict[str, object]:
-        """Return all members."""
+        """Return all members of the status."""
         counters = self._engine.counters()
         return {**self._lasting(counters), **self._changing(counters), **self._detail()}
 

@@ -99,7 +99,7 @@ def _forces(status: Status) -> Iterator[Line]:
 
 
 def _signs(status: Status) -> dict[str, Any]:
-    """Return the check of the device's signs; empty for a simulated joystick."""
+    """Return the state of the check of the device's axis signs; empty for a simulated joystick."""
     connection = status.get("connection")
     signs = connection.get("signs") if isinstance(connection, dict) else None
     return signs if isinstance(signs, dict) else {}

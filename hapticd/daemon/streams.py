@@ -119,7 +119,7 @@ class Streams:
         return now_ns - stream.last_ns < self._timeout_ns
 
     def _hand_over(self, stream: _Stream, sender: object, seq: int, now_ns: int, x: float, y: float) -> None:
-        """Send a value to the servo and count it. If the stream has not ended, `seq` must be above the last one."""
+        """Send a value to the servo and count it. Until the stream ends, `seq` must be above that of the last value."""
         missing = seq - stream.seq - 1 if self._is_under_way(stream, now_ns) else 0
         self._servo.stream(stream.kind, seq, x, y)
         stream.sender, stream.seq, stream.last_ns = sender, seq, now_ns

@@ -159,7 +159,8 @@ class Telemetry:
                 if self._flight is not None:
                     self._flight.keep_event(message)
             if count < len(self._events):
-                # Of the sample read before these events: the command thread may have read a newer one since.
+                # `revision` is that of the sample read before these events; the command thread may have read a newer
+                # sample since.
                 if revision is not None:
                     self._engine.events_read(revision)
                 break
@@ -241,6 +242,6 @@ class Telemetry:
         mark = self._engine.take_mark(int(event["code"])) if kind == EventKind.MARK else None
         message = event_map(event, name, mark)
         if kind == EventKind.GESTURE_END:
-            # Before it is sent: a client that subscribes and then requests the status misses no event.
+            # Kept before the event is sent, so that a client that subscribes and then requests the status misses none.
             self._engine.gesture_ended(message)
         return message

@@ -20,7 +20,7 @@ class RemoteError(HapticdError):
     """The daemon replied with an error.
 
     `code` is one of `hapticd.protocol.messages.Code`, `data` the data of the error, and `problems` the faults of the
-    params in it.
+    params that `data` lists.
     """
 
     def __init__(self, code: int, message: str, data: object = None) -> None:

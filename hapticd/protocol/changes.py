@@ -1,4 +1,4 @@
-"""Changes by commands, as the topic `change` publishes them. A replay needs them, the samples and the events.
+"""Changes by commands, as the topic `change` publishes them, so that a recording can be rendered again.
 
 The command thread only stores references to immutable objects; the publishing thread makes the maps.
 """

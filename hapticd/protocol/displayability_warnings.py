@@ -34,9 +34,9 @@ class MaterialReport(NamedTuple):
     material: Material
     output: Output
     undisplayable: list[Undisplayable]
-    """Modes and spectra above 0.4 of the rate."""
+    """Modes and spectra with frequencies above 0.4 of the output's rate."""
     warnings: list[Problem]
-    """Parts that are displayed differently."""
+    """Parts that are displayed, but not as written."""
     no_faults: bool
     """Whether there is nothing to report, and no texture has a frequency above half the rate."""
 
@@ -70,7 +70,7 @@ class MaterialReport(NamedTuple):
 
 
 def above_rate(frequency_hz: float, shown_hz: float | None, output: Output) -> str:
-    """Return the warning of a frequency above 0.4 of the rate: silent, or displayed at another frequency."""
+    """Return the warning of a frequency above 0.4 of the output's rate: silent, or displayed at another frequency."""
     shown = "it is silent" if shown_hz is None else f"it is shown at {shown_hz:g} Hz"
     return (
         f"{frequency_hz:g} Hz is above {DISPLAYABLE_RATE_FRACTION * output.carried_hz:g} Hz, 0.4 of the rate: {shown}"

@@ -102,7 +102,7 @@ def _too_long(size: int, limit: int) -> str:
 
 
 def _map(strings: dict[str, str], pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Return `pairs` as a dict, in which strings equal to one in `strings` are replaced by that; others are added.
+    """Return `pairs` as a dict whose equal strings share memory: each is taken from `strings`, or added to it.
 
     Strings are not interned: some versions of Python never free interned strings, and clients can send any number.
     """
@@ -154,7 +154,7 @@ def _is_flat(body: bytes) -> bool:
 
 
 def check_encoded(body: bytes) -> None:
-    """Raise WireError as `decode` does, for a body encoded by this process. Short ones take half the time."""
+    """Raise WireError as `decode` does, for a body encoded by this process; short bodies take half of its time."""
     # msgpack accepts keys of bytes and timestamps, `decode` does not; so bodies that may have them go to `decode`.
     if _is_flat(body) and _BIN8_TAG not in body and _TIMESTAMP_TYPE not in body:
         try:

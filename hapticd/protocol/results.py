@@ -31,7 +31,8 @@ class OperatorStatus(TypedDict):
 class StreamStatus(TypedDict):
     """Counters of the messages of one kind of stream.
 
-    Each received message is used, superseded, late, held or refused, or waits to be used.
+    Each received message is used, superseded, late (`seq` too low), held (another client owns the stream), refused
+    (invalid), or waits to be used.
     """
 
     active: bool
@@ -137,7 +138,7 @@ class PlayResult(TickResult):
 
 
 class SignsCheck(TypedDict):
-    """State of the check of signs of a device, and what to do."""
+    """State of the check of a device's axis signs, and what the user can do."""
 
     state: Literal["unchecked", "trusted", "checking", "waiting", "right", "wrong", "unclear"]
     axis: Literal["x", "y"] | None
@@ -146,7 +147,7 @@ class SignsCheck(TypedDict):
 
 
 class ForcesResult(TickResult):
-    """The tick of `set_forces`, the state of the forces, and the check of signs if the scene waits for it."""
+    """The tick of `set_forces`, the state of the forces, and the check of axis signs if the scene waits for it."""
 
     forces: Literal["on", "off", "faulted"]
     signs: NotRequired[SignsCheck]
@@ -206,8 +207,8 @@ class State(TypedDict):
 class Revised(TypedDict):
     """A change of scene or materials: all differences to the previous revision, None for removed objects and materials.
 
-    `large` says that more has changed than a change lists; `get_scene` and `get_materials` have it. `rate_hz` is the
-    new rate after the servo has lowered it.
+    `large` says that more has changed than a change lists: call `get_scene` and `get_materials`. `rate_hz` is the new
+    rate after the servo has lowered it.
     """
 
     revision: int

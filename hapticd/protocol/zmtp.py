@@ -99,7 +99,7 @@ def command(name: bytes, data: bytes = b"") -> bytes:
 
 
 def ready(socket_type: bytes, **others: bytes) -> bytes:
-    """Return the command READY, which ends the handshake of one side, with the properties."""
+    """Return the command READY, which ends one side's handshake, with the socket type and `others` as properties."""
     values = {b"Socket-Type": socket_type, **{name.encode(): value for name, value in others.items()}}
     pairs = [bytes((len(name),)) + name + len(value).to_bytes(4, "big") + value for name, value in values.items()]
     return command(b"READY", b"".join(pairs))

@@ -71,7 +71,7 @@ class Pages:
             page.send_news(news)
 
     def end(self, why: str) -> None:
-        """Begin to close all open pages."""
+        """Begin to close all open pages, and send them the reason `why`."""
         for page in tuple(self.open):
             page.end(why)
 

@@ -16,7 +16,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
 MAX_BROWSER_CONNECTIONS: Final = 128
-"""Connections of all browsers. docs/web.md states it."""
+"""Most connections of all browsers together. docs/web.md states it."""
 REQUEST_TIMEOUT_S: Final = 30.0
 """Time from the connection, or from the last response, until the headers of the next request must be complete."""
 RESPONSE_TIMEOUT_S: Final = 30.0

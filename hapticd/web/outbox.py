@@ -17,7 +17,7 @@ MAX_WAITING_ANSWER_BYTES: Final = 16 << 20
 MAX_WAITING_BY_TOPIC: Final = {"samples": 100, "state": 1, "status": 1, "event": 500, "change": 100}
 """Messages of each topic that may wait: two seconds of samples, but only the newest state and status.
 
-Older ones are dropped. The page sees the gap in `first_tick`, and gets the news {"dropped": {...}}.
+Older messages are dropped. The page sees the gap in `first_tick`, and gets the news {"dropped": {...}}.
 """
 
 

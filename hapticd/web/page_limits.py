@@ -24,7 +24,7 @@ class PageLimits:
     """The limits of one page."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        """Begin with full buckets."""
+        """Begin with full token buckets."""
         self.streams = Bucket(MAX_STREAMS_PER_S, MAX_STREAMS_PER_S / 4, now)
         self.calls = Bucket(MAX_CALLS_PER_S, MAX_CALLS_PER_S, now)
         self._messages = Bucket(MAX_MESSAGES_PER_S, MAX_MESSAGES_PER_S / 4, now)

@@ -41,7 +41,7 @@ _TRIES_PER_ADDRESS: Final = (0.1, 5.0)
 _TRIES_OF_ALL_ADDRESSES: Final = (1.0, 20.0)
 """Rate limit of all addresses together: tries a second, and burst."""
 _MAX_TRACKED_ADDRESSES: Final = 1000
-"""Addresses with a separate rate limit; beyond it the one that tried longest ago is forgotten."""
+"""Most addresses with a separate rate limit; beyond this number the one that tried longest ago is forgotten."""
 Verdict = Literal["right", "wrong", "later"]
 """Result of a try; `later`: there were too many tries, and this one was not checked."""
 

@@ -18,11 +18,11 @@ from hapticd.client.record import ended_early
 from hapticd.recording.recording import Recording
 
 MAX_ROWS_PER_ANSWER: Final = 20_000
-"""Samples of one answer: 2 MB."""
+"""Most samples in one answer: 2 MB."""
 MAX_OUTLINE_PIXELS: Final = 4096
-"""Pixels of one outline."""
+"""Most pixels of one outline, which has the minimum and the maximum of a column per pixel."""
 MAX_SHOWN_EVENTS: Final = 5000
-"""Events of a recording that a page gets; later ones are left out."""
+"""Most events of a recording that a page gets; later ones are left out."""
 _MAX_EVENT_TEXT_CHARACTERS: Final = 500
 """Longest text in an event; members with a longer text are left out."""
 _RATE_RANGE_HZ: Final = (1.0, 1e6)
@@ -55,14 +55,14 @@ _COMPONENT_COLUMNS: Final = {
     "force_x_n": ("force_n", 0),
     "force_y_n": ("force_n", 1),
 }
-"""Columns of vector components: field and index."""
+"""Columns of vector components, each with its field of a sample and its index in that field."""
 _MAGNITUDE_COLUMNS: Final = {
     "force_n": "force_n",
     "contact_n": "contact_force_n",
     "vibration_n": "vibration_force_n",
     "speed_m_per_s": "velocity_m_per_s",
 }
-"""Columns of vector magnitudes: field."""
+"""Columns of vector magnitudes, each with its field of a sample."""
 OUTLINE_COLUMNS: Final = (*_COMPONENT_COLUMNS, *_MAGNITUDE_COLUMNS)
 """Columns that an outline may show. The names of components are those of static/samples.js."""
 

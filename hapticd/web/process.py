@@ -43,7 +43,7 @@ _log = logging.getLogger("hapticd.web")
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The options of the command."""
+    """The options of `hapticd web`."""
 
     place: RuntimePaths | None
     """Paths of the daemon's sockets; None: a demo, which starts a separate daemon."""

@@ -23,7 +23,7 @@ MAX_RECORDING_NAME_CHARACTERS: Final = 64
 _STEM_PATTERN: Final = re.compile(r"[^\W_][\w .+-]*")
 """Name of a recording without its ending."""
 _MAX_LISTED_RECORDINGS: Final = 1000
-"""Recordings in a list; older ones are left out."""
+"""Most recordings in a list; older ones are left out."""
 
 
 def default_folder(environ: Mapping[str, str] | None = None) -> Path:

@@ -8,9 +8,9 @@ from collections import OrderedDict
 from typing import Final
 
 MAX_SESSIONS: Final = 64
-"""Sessions; beyond it the one that was used longest ago ends."""
+"""Most sessions at a time; beyond this number the one that was used longest ago ends."""
 MAX_TOKENS: Final = 16
-"""Unused tokens; beyond it the oldest becomes invalid."""
+"""Most unused tokens; beyond this number the oldest becomes invalid."""
 
 
 class Sessions:

@@ -18,7 +18,7 @@ from hapticd.web.connections import extend_deadline
 MAX_UPLOAD_BYTES: Final = 512 << 20
 """Largest file that may be uploaded."""
 MAX_WAITING_UPLOADS: Final = 4
-"""Uploaded files that are not opened yet; beyond it the oldest is removed."""
+"""Most uploaded files that are not opened yet; beyond this number the oldest is removed."""
 _UPLOAD_BLOCK_BYTES: Final = 1 << 18
 """Largest block that is received and written at once."""
 
@@ -27,7 +27,7 @@ class Uploads:
     """Uploaded files that wait to be opened, by the token that the upload returned."""
 
     def __init__(self) -> None:
-        """Begin without files."""
+        """Begin without uploaded files."""
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._waiting: dict[str, Path] = {}
 
@@ -65,7 +65,7 @@ class Uploads:
         return path
 
     def close(self) -> None:
-        """Remove all files."""
+        """Remove all uploaded files."""
         self._waiting.clear()
         if self._folder is not None:
             self._folder.cleanup()

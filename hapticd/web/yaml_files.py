@@ -36,7 +36,7 @@ _Map = dict[str, Json]
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """The content of a file's text."""
+    """The scene and the materials in the text of a file, validated."""
 
     document: Document
     change: ChangeFiles

@@ -47,7 +47,7 @@ async def _open(page: Page, params: Mapping[str, object]) -> object:
 async def _open_shipped(page: Page, params: Mapping[str, object]) -> object:
     """Answer web.yaml_open_shipped: apply a shipped file, by `folder` (scenes, materials) and `name`.
 
-    The result has its `text`.
+    The result has the file's `text`.
     """
     folder, name = params.get("folder"), params.get("name")
     if folder not in _SHIPPED_FOLDERS:

@@ -1,9 +1,9 @@
 """JSON Schemas (draft 7) of params, results and the maps of telemetry.
 
-Schemas of params come from the models that validate them. Those of merge patches (RFC 7396) have the members of the
-patched object, each optional, and null to remove it; the daemon validates the patched object as well, which depends on
-its state. Schemas of results and telemetry come from the types of protocol/results and the records of the core. Later
-versions may add members, so these objects allow others.
+Schemas of params come from the models that validate them. The schema of a merge patch (RFC 7396) has the members of the
+patched object: each is optional, and null removes it. The daemon also validates the object after the patch; no schema
+expresses this. Schemas of results and telemetry come from the types of protocol/results and the records of the core;
+they allow unknown members, because later versions may add some.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _by_name(patches: list[str]) -> dict[str, Json]:
 def _patch(name: str, schemas: Schemas) -> dict[str, Json]:
     """Return the schema of a merge patch of the model `name`.
 
-    Unknown keys may be null: a new `kind` of an object removes keys of the old one.
+    Keys that the model lacks may be null: a patch that changes an object's `kind` must remove keys of the old kind.
     """
     found = {key: value for key, value in schemas[name].items() if key in _PATCH_KEYWORDS}
     found["description"] = f"A JSON Merge Patch. {found['description']}"
