@@ -154,10 +154,10 @@ def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
         ),
         SPEED: (
             "Benchmarks",
-            "Times and rates. [Accuracy](accuracy.md) has the errors of rendering. `make bench` writes this page; "
-            f"ratios are taken within one run. {on} {took} Other guests share the machine, so medians and ratios are "
-            "meaningful, but the highest percentiles are not. A figure is the median over repetitions, with the tenth "
-            "to the ninetieth percentile in brackets: (10 to 90 %).",
+            "This page has times and rates, [Accuracy](accuracy.md) the errors of rendering. `make bench` writes "
+            f"this page; ratios are taken within one run. {on} {took} Other guests share the machine, so medians and "
+            "ratios are meaningful, but the highest percentiles are not. A figure is the median over repetitions, "
+            "with the tenth to the ninetieth percentile in brackets: (10 to 90 %).",
         ),
     }
     written = []

@@ -564,8 +564,8 @@ def run(options: Options, advance: Advance) -> Section:
         [
             f"{trials} seeded trials with the servo's tick and the simulated joystick: random walls and corners, "
             "devices and hands. A quarter of the handles are free and pushed; two fifths of the stiffnesses are 0.5, "
-            "0.999 or 2 times the limit. The first table shows the motion after the hand has come to rest, by the "
-            f"verdict of the stability margin. {len(found.broken)} trials are called safe and do not come to rest. "
+            "0.999 or 2 times the proved limit. The first table shows the motion after the hand has come to rest, by "
+            f"the verdict of the stability margin. {len(found.broken)} trials are called safe and do not come to rest. "
             f"{found.linear} trials have a linear loop with a spectral radius above 1.001, of which {found.grew} grow "
             "in the bilateral loop without friction, rounding and limit. A trial rests if its speed stays within 1e-7 "
             "m/s of its mean. It cycles if the energy of half-second intervals no longer changes, or does not fall for "
@@ -577,7 +577,11 @@ def run(options: Options, advance: Advance) -> Section:
             f"rest. The search for this first unstable island goes upwards by {100 * (STEP - 1):.1f} % from 0.9 of the "
             f"proved stiffness, from {len(STARTS)} starts. Rests again: fraction of the stiffnesses up to {ABOVE:g} "
             f"times as large at which a free handle rests. Any: no limit was found up to {HIGHEST:g} N/m.",
-            Table("Trials by verdict of the margin", ["", "trials", "rest", "cycle", "grow", "still falling"], rows),
+            Table(
+                "Trials by verdict of the stability margin and by motion",
+                ["", "trials", "rest", "cycle", "grow", "still falling"],
+                rows,
+            ),
             *(
                 Table(f"Stiffness over {label}, N/m", [label, *heads], _of(maps[axis]))
                 for axis, (label, *_) in AXES.items()

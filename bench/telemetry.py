@@ -112,8 +112,8 @@ def run(options: Options, advance: Advance) -> Section:
         [
             f"A daemon at {RATE_HZ} Hz, {parts * seconds:g} s of each kind of run in {parts} interleaved parts. "
             "One process reads for all subscribers; it subscribes to all topics and unpacks every batch. The dead "
-            f"subscriber is connected and never reads. In total the daemon's ring dropped {dropped['samples_dropped']} samples, and "
-            f"the servo missed {dropped['skipped']} periods.",
+            f"subscriber is connected and never reads. In total the daemon's ring dropped {dropped['samples_dropped']} "
+            f"samples, and the servo missed {dropped['skipped']} periods.",
             Table(
                 "Servo and subscribers; aim: no missing samples, no effect on the servo",
                 [
