@@ -144,20 +144,20 @@ def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
     heads = {
         ACCURACY: (
             "Accuracy",
-            "Errors of rendering, display and fitting, against arbitrary precision or a closed form. "
-            "[Algorithms and their alternatives](alternatives.md) compares cost and error of each kernel with other "
-            f"methods, measured once. `make bench` (`hapticd bench`) writes this page. {on} {took} Variants are "
-            "measured in turns (interleaved) in one process, and ratios are taken round by round within one run. "
-            "A cost is the median over the rounds, with the tenth to the ninetieth percentile in brackets. "
-            "[Benchmarks](benchmarks.md) has the times of wake-ups, commands and scenes. The command at the end of "
-            "a section repeats its measurements; tests in `tests/` assert the errors of the core, with margins.",
+            "Errors of rendering, display and fitting, against arbitrary precision or a closed form. [Algorithms and "
+            "their alternatives](alternatives.md) compares cost and error of each kernel with other methods, measured "
+            f"once. `make bench` (`hapticd bench`) writes this page. {on} {took} Variants are measured in turns "
+            "(interleaved) in one process, and ratios are taken round by round within one run. A cost is the median "
+            "over the rounds, with the tenth to the ninetieth percentile in brackets. [Benchmarks](benchmarks.md) has "
+            "the times of wake-ups, commands and scenes. The command at the end of a section repeats the section's "
+            "measurements; tests in `tests/` assert the errors of the core, with margins.",
         ),
         SPEED: (
             "Benchmarks",
-            "Times and rates. [Accuracy](accuracy.md) has the errors of rendering. `make bench` writes this page; "
-            f"ratios are taken within one run. {on} {took} The machine is shared with other guests, so medians and "
-            "ratios are meaningful, the tails are not. A figure is the median over repetitions, with the tenth to "
-            "the ninetieth percentile in brackets.",
+            "This page has times and rates, [Accuracy](accuracy.md) the errors of rendering. `make bench` writes "
+            f"this page; ratios are taken within one run. {on} {took} Other guests share the machine, so medians and "
+            "ratios are meaningful, but the highest percentiles are not. A figure is the median over repetitions, "
+            "with the tenth to the ninetieth percentile in brackets: (10 to 90 %).",
         ),
     }
     written = []

@@ -100,13 +100,13 @@ def run(options: Options, advance: Advance) -> Section:
         [
             Table(
                 "Chromium, headless, no graphics processor, 1280 x 800, scene and oscilloscope drawn, sound on, "
-                f"servo at 10 kHz on the same machine; {seconds:g} s; aims: {AIM_TAP_S:g} s, {AIM_FRAMES:g}, 30 ms "
-                f"and 100 ms (p95), {AIM_SOUND_MS:g} ms",
+                f"servo at 10 kHz on the same machine; {seconds:g} s; aims of the rows: {AIM_TAP_S:g} s, "
+                f"{AIM_FRAMES:g}, 30 ms and 100 ms (p95), {AIM_SOUND_MS:g} ms",
                 ["", "median", "p95", "reached"],
                 rows,
             ),
             f"Samples lost: {found['samples_lost']}; movements of the pointer without a change of the force: "
-            f"{found['pointer_to_force_ms']['unanswered']} of {found['pointer_to_force_ms']['count']}. The two clocks "
-            f"agree to {found['clock_error_ms']:.1f} ms.",
+            f"{found['pointer_to_force_ms']['unanswered']} of {found['pointer_to_force_ms']['count']}. The clocks of "
+            f"page and daemon agree to {found['clock_error_ms']:.1f} ms.",
         ],
     )

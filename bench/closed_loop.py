@@ -222,7 +222,12 @@ def _loop_table(name: str, loop: Loop, delay_periods: int = 0) -> tuple[Table, l
     rows.append(["order in T", *(f"{order(RATES_HZ, values):.2f}" for values in columns)])
     late = f", reports {delay_periods} tick old" if delay_periods else ""
     caption = f"{name}{late} (peaks of the closed form: {force:.2f} N, {1e3 * depth:.2f} mm)"
-    heads = ["rate, Hz", "force at ticks, mN", "penetration at ticks, um", "held force, mean over time, mN"]
+    heads = [
+        "rate, Hz",
+        "error of the force at ticks, mN",
+        "of the penetration at ticks, um",
+        "of the held force, mean over time, mN",
+    ]
     return Table(caption, heads, rows), errors
 
 
@@ -231,10 +236,11 @@ def loops(options: Options, advance: Advance) -> Section:
     section = Section(
         "The closed loop",
         [
-            "A hand (300 N/m, 5 N s/m) draws a mass of 0.05 kg onto a wall at 0.1 m/s and rests. The simulated "
-            "joystick has no encoder step, dry friction, force resolution or vibration. The reference is the closed "
-            f"form of the continuous loop. Each figure is the largest error over {PHASES} positions of the onset "
-            "within the tick.",
+            "A hand (300 N/m, 5 N s/m) draws a mass of 0.05 kg onto a wall (stiffness K, damping D) at 0.1 m/s and "
+            "rests. The simulated joystick has no encoder step, dry friction, force resolution or vibration. The "
+            f"reference is the closed form of the continuous loop. Each figure is the largest error over {PHASES} "
+            "positions of the onset within the tick, in brackets relative to the peak. *Order in T*: the error grows "
+            "with the period T to this power.",
         ],
     )
     for index, (name, loop) in enumerate(LOOPS.items()):
@@ -244,16 +250,16 @@ def loops(options: Options, advance: Advance) -> Section:
     left = [without_hold(loop, rate) for rate in RATES_HZ]
     section.parts.append(
         "All errors are of first order in T, as expected of a zero-order hold. The force of tick k is held until tick "
-        "k+1, so on average it is T/2 old. A spring whose force comes T/2 late acts like a spring with a damping of "
-        "-K T/2. Damping from the backward difference of positions is another T/2 older, T in all. An onset between "
-        "two ticks is first answered at the second of them. A continuous wall with K T/2 less damping therefore "
-        "explains the first order, and the remaining error must be of second order:"
+        "k+1, so on average it is T/2 old. A spring whose force comes T/2 late acts like a spring with a damping of -K "
+        "T/2. Damping from the backward difference of positions adds another T/2, so its force is T late in all. The "
+        "servo answers an onset between two ticks at the second of them. A continuous wall with K T/2 less damping "
+        "therefore explains the first order, and the remaining error must be of second order:"
     )
     rows = [[f"{rate:.0f}", f"{1e6 * value:.3f}"] for rate, value in zip(RATES_HZ, left, strict=True)]
     section.parts.append(
         Table(
-            "K = 800 N/m, penetration at ticks less that of a wall with D = -K T/2, um",
-            ["rate, Hz", "worst"],
+            "K = 800 N/m, error of the penetration at ticks against a wall with D = -K T/2, um",
+            ["rate, Hz", "largest error"],
             [*rows, ["order in T", f"{order(RATES_HZ, left):.2f}"]],
         )
     )

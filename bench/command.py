@@ -109,12 +109,12 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Command round trip",
         [
-            f"A daemon with the servo at {RATE_HZ} Hz, over ipc; the echo is another process. `update_scene` "
-            "moves one wall, alternately up and down. Ratios of p50 are taken block by block, the ratio of p99 "
-            "over the complete run.",
+            f"A daemon with the servo at {RATE_HZ} Hz answers over ipc. The echo is another process that returns each "
+            "message. `update_scene` moves one wall, alternately up and down. Ratios to the echo are taken block by "
+            "block for p50, and over the complete run for p99.",
             Table(
-                f"us, {blocks} interleaved blocks of {trips} round trips of each",
-                ["", "p50 (10 to 90 %)", "p99", "worst", "p50 over echo's", "p99 over echo's", "aims, reached"],
+                f"Round trip, us, {blocks} interleaved blocks of {trips} round trips of each kind",
+                ["", "p50 (10 to 90 %)", "p99", "worst", "p50, ratio to echo", "p99, ratio to echo", "aims, reached"],
                 rows,
             ),
         ],

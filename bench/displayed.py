@@ -161,7 +161,17 @@ def in_grip(point: SweepPoint) -> dict[str, float | None]:
 
 
 def _errors(client: Any, tell: Callable[[float], None]) -> list[str | Table]:
-    columns = ["material", "off", "mass", "C alone", "full", "tail", "largest force, m A", "any onset: off", "full"]
+    columns = [
+        "material",
+        "off",
+        "mass",
+        "C alone",
+        "full",
+        "tail",
+        "largest force / (m A)",
+        "any onset: off",
+        "any onset: full",
+    ]
     tables: list[str | Table] = []
     found = swept(client, "displayed_grips", tell)
     for grip, (mass, damping, stiffness) in GRIPS.items():
@@ -204,7 +214,7 @@ def _rates(client: Any, tell: Callable[[float], None]) -> Table:
         cell = "not displayable" if None in errors else " / ".join(map(_percent, errors))
         cells.setdefault(row["parameters.material"], {})[row["servo.rate_hz"]] = cell
     rates = next(iter(cells.values()))
-    caption = "Displayed error over rate, default grip, %: off / full"
+    caption = "Displayed error by rate, default grip, %: `off` / `full`"
     rows = [[name, *each.values()] for name, each in cells.items()]
     return Table(caption, ["material", *(f"{rate:.0f} Hz" for rate in rates)], rows)
 
@@ -216,19 +226,24 @@ def run(options: Options, advance: Advance) -> Section:
         walls = _walls(client, between(advance, 0.5, 0.8, "walls"))
         rates = _rates(client, between(advance, 0.8, 0.9, "rates"))
     parts: list[str | Table] = [
-        "A tap of the default simulated handle (0.04 kg, 0.2 N s/m) in three grips, with four compensations. `off`: "
-        "the force is the acceleration times the mass of handle and hand. `mass` also compensates the hold of the "
-        "force. `C alone`: the complex gain of the device at the mode's pole. `full`: gain and tail together, by least "
-        "squares. The onset is at a tick, as with `play`, except in columns `any onset`: a tap begins at any time "
-        "between two ticks, its force begins at the second of them, and the error includes what is missing until then "
-        f"(RMS over {PHASES} positions). `tail` is the time from the onset to the end of the tail.",
+        "A tap moves the default simulated handle (0.04 kg, 0.2 N s/m) in three grips; four compensations compute its "
+        "force. `off`: the wanted acceleration times the mass of handle and hand. `mass`: also corrected for the hold "
+        "of the force from tick to tick. `C alone`: the mode times one complex number C, the inverse of device and "
+        "hold at the mode's pole. `full`: C and a tail of further forces after the onset, fitted together by least "
+        "squares. The displayed error is that of the handle's acceleration relative to the mode. The onset is at a "
+        "tick, as with `play`, except in the columns `any onset`: there a tap begins at any time between two ticks, "
+        f"its force begins at the second of them, and the error includes what is missing until then (RMS over {PHASES} "
+        "positions). `tail` is the time from the onset to the end of the tail. The largest force is relative to m A, "
+        "with the mass m of handle and hand and the tap's amplitude A.",
         *errors,
-        "These figures are without contact, as with `play`. A wall acts on the handle while its tap rings. `wall left "
-        "out`: forces computed without the wall, displayed on the wall. `full`: forces of a tap on this wall.",
+        "These figures are without contact, as with `play`. On a wall, the wall acts on the handle while its tap "
+        "rings. `wall left out`: forces that were computed without the wall act on the wall. `full`: forces that were "
+        "computed for a tap on this wall.",
         walls,
-        "`hapticd verify` reports the same for a configuration, with the onset at a tick: rows `tap` without contact, "
-        "rows `wall` on a wall of the material's stiffness. It also includes dry friction, steps of the actuator and "
-        "the force limit of the joystick. Without these three it gives the figures above.",
+        "`hapticd verify` reports the same errors for the device and materials of a configuration, with the onset at a "
+        "tick: rows `tap` without contact, rows `wall` on a wall of the material's stiffness. It also includes dry "
+        "friction, force resolution and the force limit of the joystick. Without these three it gives the figures "
+        "above.",
         rates,
     ]
     return Section("Displayed acceleration", parts)

@@ -187,7 +187,7 @@ def _features(options: Options, advance: Advance) -> Table:
         rows.append([name, spread(taken[name], ".1f"), more])
     return Table(
         f"ns a tick, {rounds} interleaved rounds, each of {ticks} ticks: median (10 to 90 %)",
-        ["surface", "ns a tick", "more than the bare wall"],
+        ["surface", "ns a tick", "ns more than the bare wall"],
         rows,
     )
 
@@ -249,7 +249,7 @@ def _modes(options: Options, advance: Advance) -> Table:
     reached = verdict(float(np.median(slopes)), 6.0)
     rows.append(["slope of a fit", "", spread(slopes, ".2f"), "< 6", reached])
     return Table(
-        f"Ringing modes, probe out of reach: ns more than the same scene without ringing, {rounds} interleaved rounds "
+        f"Ringing modes, probe out of reach: ns more than in the scene without ringing, {rounds} interleaved rounds "
         "(10 to 90 %)",
         ["modes", "ns a tick", "ns a mode", "aim", "reached"],
         rows,
@@ -261,11 +261,12 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Features",
         [
-            "`hd_render` from Python, one object (a seam: two boxes), velocities given. The probe strokes 41 mm to and "
-            "fro at 0.1 m/s, pressed with 0.8 N. *Waving*: it swings 20 mm to either side at up to 0.15 m/s, pressed "
-            "with 0.56 to 1.04 N. Short strokes are 0.64 mm long. The spacing of grooves is 2 mm; the row of grooves "
-            "as vibration includes the ringing of their modes. `tests/tick/` asserts the error of each feature; "
-            "[Features of a surface](alternatives.md#features-of-a-surface) has the errors, measured once.",
+            "Python calls `hd_render` with given velocities and one object (a seam: two boxes). The probe strokes 41 "
+            "mm to and fro at 0.1 m/s and presses with 0.8 N. *Waving*: the probe swings 20 mm to either side at up to "
+            "0.15 m/s and presses with 0.56 to 1.04 N. Short strokes are 0.64 mm long. *On 4 x 4*: an autoregressive "
+            "texture of 4 by 4 models over speed and force. The spacing of grooves is 2 mm; the row of grooves as "
+            "vibration includes the ringing of their modes. `tests/tick/` asserts the error of each feature; [Features "
+            "of a surface](alternatives.md#features-of-a-surface) has the errors, measured once.",
             _features(options, lambda part, what: advance(0.75 * part, what)),
             _modes(options, lambda part, what: advance(0.75 + 0.25 * part, what)),
         ],

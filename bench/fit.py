@@ -90,10 +90,10 @@ def run(options: Options, advance: Advance) -> Section:
         "Fitted taps",
         [
             f"{sets} recordings of {TAPS} taps for each material, at 25 kHz with {100 * NOISE:g} % noise and random "
-            f"speeds between {SPEEDS_M_PER_S[0]:g} and {SPEEDS_M_PER_S[1]:g} m/s. The table shows the median of "
-            "the absolute error in per cent, and the fraction of the recordings whose 95 % interval contains the "
-            f"truth. Two standard errors of this fraction are {_uncertain(sets):.1f} points for one material, "
-            f"{_uncertain(len(found)):.1f} for all.",
+            f"speeds between {SPEEDS_M_PER_S[0]:g} and {SPEEDS_M_PER_S[1]:g} m/s. The table shows the median of the "
+            "absolute error in per cent, and the coverage: the fraction of the recordings whose 95 % interval contains "
+            f"the truth. Two standard errors of the coverage are {_uncertain(sets):.1f} percentage points for one "
+            f"material, {_uncertain(len(found)):.1f} for all.",
             Table(f"Median error, % / coverage; {sets} recordings", ["material", *FIGURES, "refused"], rows),
             strokes,
         ],

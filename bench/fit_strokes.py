@@ -103,8 +103,9 @@ def table(client: Any, options: Options, tell: Callable[[float], None]) -> Table
         for each in coverage(kind, sets)
     ]
     return Table(
-        "Strokes and punctures: coverage of the 95 % intervals, and its standard error with this number of sets",
-        ["kind", "figure", "sets", "median error, %", "coverage, %", "+-"],
+        "Strokes and punctures, each fitted to a set of synthetic recordings: coverage of the 95 % intervals, and its "
+        "standard error for this number of fits",
+        ["kind", "figure", "fits", "median error, %", "coverage, %", "standard error, %"],
         rows,
     )
 

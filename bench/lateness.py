@@ -192,7 +192,7 @@ def _work(runs: dict[int, list[Run]], spun: dict[int, list[Run]]) -> Table:
             cells = [spread(p50, ".0f"), spread(p99, ".0f"), spread(p999, ".0f")]
             rows.append([f"{rate} Hz{name}", str(len(found)), *cells, verdict(float(np.median(p50)), 200.0)])
     return Table(
-        "Work inside the servo, ns: median over the runs (10 to 90 %); aim: p50 < 200",
+        "Work of the servo in a tick, ns: median over the runs (10 to 90 %); aim: p50 < 200",
         ["servo", "runs", "p50", "p99", "p99.9", "reached"],
         rows,
     )

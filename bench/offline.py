@@ -89,8 +89,9 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Offline",
         [
-            "One wooden wall, entered and left twice a second, in contact half of the time. The Python calls include "
-            "reading the configuration, compiling the scene and allocating the result (112 bytes a tick).",
+            "The probe enters and leaves one wooden wall twice a second and is in contact half of the time. The Python "
+            "calls include reading the configuration, compiling the scene and allocating the result (112 bytes a "
+            "tick).",
             Table(
                 f"Million ticks a second, {count} ticks, {rounds} runs: median (10 to 90 %)",
                 ["call", "Mticks/s", "ns a tick", "aim", "reached"],

@@ -72,7 +72,7 @@ def run(options: Options, advance: Advance) -> Section:
         [
             Table(
                 f"Start, s, {starts} starts: median (10 to 90 %); aim: ready < 0.5",
-                ["from the start of its process", "s", "reached"],
+                ["from the start of the process", "s", "reached"],
                 [
                     ["to the command socket", spread(ready, ".3f"), verdict(float(np.median(ready)), 0.5)],
                     ["to the first answer", spread(answered, ".3f"), ""],
@@ -81,7 +81,7 @@ def run(options: Options, advance: Advance) -> Section:
             Table(
                 f"Processor time, % of one of {os.cpu_count()}, over {seconds:g} s, without clients; memory, MB, aim "
                 "< 80 (locked: address space, of which only used pages are resident)",
-                ["servo", "daemon", "of it the servo thread", "resident", "largest", "locked", "reached"],
+                ["servo", "daemon, %", "of it servo thread, %", "resident, MB", "largest, MB", "locked, MB", "reached"],
                 rows,
             ),
         ],

@@ -564,18 +564,24 @@ def run(options: Options, advance: Advance) -> Section:
         [
             f"{trials} seeded trials with the servo's tick and the simulated joystick: random walls and corners, "
             "devices and hands. A quarter of the handles are free and pushed; two fifths of the stiffnesses are 0.5, "
-            "0.999 or 2 times the limit. The table shows the motion after the hand has come to rest. "
-            f"Called safe, but not at rest: {len(found.broken)}. "
-            f"Spectral radius above 1.001: {found.linear}, of which {found.grew} grow in the bilateral loop without "
-            "friction, rounding and limit. A trial rests if its speed stays within 1e-7 m/s of its mean. It cycles if "
-            "the energy of half-second intervals no longer changes, or does not fall for "
-            f"{UNSAFE_S:.0f} s ({LONGEST_S:.0f} s if it is called safe).",
-            "Simulated: the smallest stiffness at which the handle does not come to rest. The search for this first "
-            f"unstable island goes upwards by {100 * (STEP - 1):.1f} % from 0.9 of the proved stiffness, from "
-            f"{len(STARTS)} starts. "
-            f"Rests again: fraction of the stiffnesses up to {ABOVE:g} times as large at which a free handle rests. "
-            f"Any: no limit was found up to {HIGHEST:g} N/m.",
-            Table("Trials by verdict of the margin", ["", "trials", "rest", "cycle", "grow", "still falling"], rows),
+            "0.999 or 2 times the proved limit. The first table shows the motion after the hand has come to rest, by "
+            f"the verdict of the stability margin. {len(found.broken)} trials are called safe and do not come to rest. "
+            f"{found.linear} trials have a linear loop with a spectral radius above 1.001, of which {found.grew} grow "
+            "in the bilateral loop without friction, rounding and limit. A trial rests if its speed stays within 1e-7 "
+            "m/s of its mean. It cycles if the energy of half-second intervals no longer changes, or does not fall for "
+            f"{UNSAFE_S:.0f} s ({LONGEST_S:.0f} s if it is called safe). The plain conditions are those of the "
+            "[literature](stability.md).",
+            "The other tables have stiffness limits on one wall, of the handle without a hand (free) and in the "
+            "default hand (held). Passive and step held: the proved limits of passivity and of quantisation. Linear: "
+            "the limit of the linear loop. Simulated: the smallest stiffness at which the handle does not come to "
+            f"rest. The search for this first unstable island goes upwards by {100 * (STEP - 1):.1f} % from 0.9 of the "
+            f"proved stiffness, from {len(STARTS)} starts. Rests again: fraction of the stiffnesses up to {ABOVE:g} "
+            f"times as large at which a free handle rests. Any: no limit was found up to {HIGHEST:g} N/m.",
+            Table(
+                "Trials by verdict of the stability margin and by motion",
+                ["", "trials", "rest", "cycle", "grow", "still falling"],
+                rows,
+            ),
             *(
                 Table(f"Stiffness over {label}, N/m", [label, *heads], _of(maps[axis]))
                 for axis, (label, *_) in AXES.items()

@@ -171,9 +171,9 @@ def run(options: Options, advance: Advance) -> Section:
         [
             f"A daemon at {RATE_HZ} Hz. Another process streams forces on a circle, {PER_S:,} a second "
             f"for {seconds} s. The latency is the time from `send` to the wake-up of the tick that took the message. "
-            "The samples show this tick, because the force turns towards another point of the circle.",
+            "The samples show which message a tick took, because each force is another point of the circle.",
             Table(
-                f"{seconds * PER_S:,} messages",
+                f"What became of {seconds * PER_S:,} messages",
                 [
                     "received",
                     "lost",
@@ -181,9 +181,9 @@ def run(options: Options, advance: Advance) -> Section:
                     "refused",
                     "used",
                     "superseded",
-                    "time-outs",
+                    "time-outs of the stream",
                     "seen in the samples",
-                    "missed",
+                    "periods missed",
                 ],
                 [
                     [
@@ -195,7 +195,7 @@ def run(options: Options, advance: Advance) -> Section:
                 ],
             ),
             Table(
-                "us",
+                "Latency and interval, us",
                 ["", "p50", "p99", "p99.9", "worst", "aim, reached"],
                 [
                     ["from send to the tick", *_percentiles(found.latency_us), f"p99 < 1,000: {verdict(p99, 1000)}"],

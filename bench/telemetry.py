@@ -111,9 +111,9 @@ def run(options: Options, advance: Advance) -> Section:
         "Telemetry",
         [
             f"A daemon at {RATE_HZ} Hz, {parts * seconds:g} s of each kind of run in {parts} interleaved parts. "
-            "The readers are one process that subscribes to all topics and unpacks every batch. The dead subscriber is "
-            f"connected and never reads. In total the daemon's ring dropped {dropped['samples_dropped']} samples, and "
-            f"the servo missed {dropped['skipped']} periods.",
+            "One process reads for all subscribers; it subscribes to all topics and unpacks every batch. The dead "
+            f"subscriber is connected and never reads. In total the daemon's ring dropped {dropped['samples_dropped']} "
+            f"samples, and the servo missed {dropped['skipped']} periods.",
             Table(
                 "Servo and subscribers; aim: no missing samples, no effect on the servo",
                 [

@@ -266,7 +266,7 @@ def _estimator(options: Options, advance: Advance) -> Table:
         rows.append(cells)
         advance((index + 1) / len(motions), "estimator")
     return Table(
-        f"The velocity estimator alone, ns an update of both axes, {rounds} runs of {count} updates (10 to 90 %)",
+        f"The velocity estimator alone: ns for an update of both axes, {rounds} runs of {count} updates (10 to 90 %)",
         ["motion", "exact positions", "20 um steps"],
         rows,
     )
@@ -279,7 +279,7 @@ def run(options: Options, advance: Advance) -> Section:
         [
             "Time of `hd_render`, called from Python: its loop, the tick, and the 112-byte sample that it writes. "
             "State and memory are warm. There is no clock and no device; velocities are given, unless the row names "
-            "the estimator. Nothing is subtracted: the last row shows how much of every other row is the call itself.",
+            "the estimator. Nothing is subtracted: the last row shows how much of each other row is the call itself.",
             _ticks(options, lambda part, what: advance(0.9 * part, what)),
             _estimator(options, lambda part, what: advance(0.9 + 0.1 * part, what)),
         ],

@@ -119,7 +119,7 @@ def run(options: Options, advance: Advance) -> Section:
         ["processor time, page without samples, %", spread(shares[IDLE], ".1f"), verdict(median["idle"], 5.0)],
         ["processor time, page with all samples, %", spread(shares[DRAWING], ".1f"), verdict(median["draw"], 15.0)],
         [
-            "servo's p99 lateness, ratio with to without a page",
+            "servo's p99 lateness, ratio with a page to without",
             spread(ratios, ".2f"),
             verdict(float(np.median(ratios)), 1.1),
         ],
@@ -128,9 +128,9 @@ def run(options: Options, advance: Advance) -> Section:
         "Cost of the page's server",
         [
             Table(
-                f"`hapticd web` with one page, servo at 10 kHz, {pairs} runs of {seconds:g} s: median (10 to 90 %); "
-                "aim: 5 %, 15 %, 1.1",
-                ["", "", "reached"],
+                f"`hapticd web` with one page, servo at 10 kHz, {pairs} runs of {seconds:g} s; "
+                "aims of the rows: 5 %, 15 %, 1.1",
+                ["what", "median (10 to 90 %)", "reached"],
                 rows,
             ),
             "The page is simulated by a process that reads all telemetry, without a browser.",
