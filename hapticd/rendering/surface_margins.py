@@ -20,8 +20,7 @@ from hapticd.rendering.surface_properties import depends_on_radius, properties_o
 from hapticd.rendering.surface_table import SurfaceTable
 
 _SurfaceKind: TypeAlias = tuple[int, int, float]
-"""Properties that margins depend on at any position: material, first piece (-1: no patches), radius (0:
-irrelevant)."""
+"""Properties by which surfaces share terms of their margin: material, first piece (-1: no patches), radius (0: any)."""
 _PLANE_SHAPES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
 """Shapes that push along one normal."""
 _DISC_SHAPE: Final = int(Shape.DISC)
@@ -34,7 +33,7 @@ class _KindMargins(NamedTuple):
     """Terms of the margin that all surfaces of one kind share, independent of position and orientation."""
 
     passive: float
-    """Factor on the stiffness up to which it is passive."""
+    """Factor on the stiffness up to which the surface is passive."""
     along_n: float
     """Noise along the normal that grows with the stiffness."""
     across_n: float
