@@ -197,7 +197,7 @@ class _Grid:
         return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
 
     def count(self, pole: complex, onset: float) -> int:
-        """Return the number of ticks in the five time constants after an onset `onset` periods before the first tick."""
+        """Return the number of ticks in five time constants after an onset `onset` periods before the first tick."""
         first_s = onset * self.period_s
         return math.floor((_MODE_TIME_CONSTANTS / -pole.real - first_s) / self.period_s + 1e-9) + 1
 

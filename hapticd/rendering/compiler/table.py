@@ -38,7 +38,7 @@ MAX_BRAKED_MOMENTUM_PART: Final = 0.1
 """Largest fraction of the handle's momentum that the passivity controller removes in a period."""
 
 _PERIOD_TOLERANCE: Final = 1e-6
-"""Ages are rounded up to whole periods, except those that exceed a whole one by at most this fraction of a period."""
+"""Ages are rounded up to multiples of the period, but down if they exceed one by at most this fraction of a period."""
 _NO_FIELD: Final = (0.0,) * 4
 """The `_Field` of an object that is not a field."""
 _QUANTA_PER_UNIT: Final = 1 << 1074
