@@ -34,7 +34,7 @@ class FitOptions:
     two_modes: bool | None = None
     mode_table: bool | None = None
     autoregressive: bool | None = None
-    """Whether textures are autoregressive models."""
+    """Whether a texture is fitted by autoregressive models."""
 
     @property
     def of_modes(self) -> list[str]:
