@@ -87,8 +87,8 @@ def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
 def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
     """Return the sorted sample indices of the strikes: each is found and subtracted in turn, the largest first.
 
-    `step` is the step of z at each sample, `unit` that of a strike of amplitude 1. Two strikes are more than `reach`
-    samples apart.
+    `step` is the step of z at each sample, `unit` that of a strike of amplitude 1. The distance of two strikes
+    exceeds `reach` samples.
     """
     left = step.copy()
     middle = len(unit) // 2

@@ -98,7 +98,7 @@ def taps(
     stylus: Stylus = Stylus(),
     spacing_s: float = 0.1,
 ) -> tuple[Recording, TapTruth]:
-    """Return a recording with a tap at each speed, `spacing_s` apart, and the true parameters.
+    """Return a recording with a tap at each speed, one every `spacing_s`, and the true parameters.
 
     Position is along the normal, 0 at the surface and negative in front of it.
     """

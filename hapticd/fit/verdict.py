@@ -253,7 +253,7 @@ class Exclusions:
         self.unused |= other.unused
 
     def each(self, recordings: Iterable[Recording], fitted: Callable[[Recording], _T]) -> list[_T]:
-        """Return `fitted(recording)` of each recording, leaving out, with the reason, those for which it raises FitError.
+        """Return `fitted(recording)` of each recording; leave out those for which it raises FitError, with the reason.
 
         UnitError and StrictError are passed on: a unit that is wrong in one recording is wrong in all.
         """
