@@ -167,7 +167,7 @@ def _weak_discs(config: Config) -> Iterator[Problem]:
 
 
 def _imperfect_fits(shown: Mapping[str, Material]) -> Iterator[Problem]:
-    """Yield a note for each fit, of a material of the scene, whose verdict is not good, with the reasons."""
+    """Yield a note, with the reasons, for each fit of the scene's materials whose verdict is not good."""
     for name, material in shown.items():
         for kind, verdict in material.fitted.items():
             if verdict.quality != "good":

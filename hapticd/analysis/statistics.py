@@ -3,8 +3,8 @@
 The variance of a point is its known measurement variance plus that of an additional scatter, which is equal for all
 points or in known ratios. The scatter is chosen so that the weighted sum of squared residuals equals its degrees of
 freedom (Paule and Mandel, "Consensus values and weighting factors", 1982), and is 0 if the sum is smaller without it.
-Intervals are Student's t scaled by that sum (Hartung and Knapp, 2001). With equal variances this is ordinary least
-squares.
+Intervals are Student's t scaled by that sum (Hartung and Knapp, 2001). With equal measurement variances this is
+ordinary least squares.
 
 The robust regression is Tukey's bisquare M-estimate; its intervals hold even if the scales of the errors are wrong.
 """

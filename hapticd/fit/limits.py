@@ -100,7 +100,7 @@ class TapLimits:
     min_same_pairs: float = _limit(
         0.7,
         "fraction of the pairs",
-        "If this fraction of the taps' pairs of modes agrees, the material has these modes.",
+        "If this fraction of the taps' mode pairs agrees, the material has both modes.",
     )
     min_second_gain: float = _limit(
         0.01, "fraction of the variance", "A second mode is offered if both explain this much more than one mode."

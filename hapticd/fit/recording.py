@@ -95,7 +95,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Arrays (n,), uniformly sampled at the same times, without NaN. A quantity that was not recorded is None."""
+    """Quantities of a recording: arrays (n,) at the same uniform times, without NaN; None if not recorded."""
 
     name: str
     rate_hz: float

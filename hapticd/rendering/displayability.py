@@ -368,7 +368,7 @@ def patch_warnings(wall: Wall, root: Path) -> list[Problem]:
 
 
 def _narrow_patches(wall: Wall) -> Iterator[tuple[int, str]]:
-    """Yield index and problem of each patch narrower than the ramp, or nearer to another patch than its width."""
+    """Yield index and problem of each patch that is narrower than the ramp, or as near to another one."""
     patches, ramp_m = wall.patches, wall.patch_ramp_m
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None

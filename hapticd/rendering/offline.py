@@ -205,7 +205,7 @@ class Rerun:
     def turn_to(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
         """Take a validated scene, in which only the objects `changed` differ from the scene before.
 
-        Afterwards `name_of` does not know the events of earlier ticks.
+        Afterwards `name_of` may not know the events of earlier ticks.
         """
         self._compiler.events_read((revision - 1) & 0xFFFFFFFF)
         self._world = new_world(self._compiler.update(scene, changed, materials, revision))

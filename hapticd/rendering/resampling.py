@@ -27,7 +27,7 @@ COMPARED_RANGE_DB: Final = 30.0
 _WHITE_NOISE_FRACTION: Final = 1e-7
 """White noise added to the autocorrelation against rounding errors, as a fraction of the power."""
 _MIN_SKIRT_EXPONENT: Final = 12.0
-"""Beyond the band of a model that is shown at a higher rate, power falls as (1/f)^exponent with at least this one."""
+"""Smallest n with which power falls as 1/f^n beyond the band of a model that is shown at a higher rate."""
 _MAX_SKIRT_POWER_FRACTION: Final = 0.05
 """Largest fraction of the power that may lie beyond the band of such a model."""
 _MAX_PLACED_POLES: Final = 4

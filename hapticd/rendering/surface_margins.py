@@ -26,7 +26,7 @@ _PLANE_SHAPES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
 _DISC_SHAPE: Final = int(Shape.DISC)
 """Shape number of a disc."""
 _WORST_NORMAL_COMPONENT: Final = math.sqrt(0.5 * WORST_NORMAL_FACTOR)
-"""Used as x and y of a normal, it makes the product in `of` WORST_NORMAL_FACTOR."""
+"""Used as x and y of a normal, this value makes the factor in `of` WORST_NORMAL_FACTOR, that of the worst normal."""
 
 
 class _KindMargins(NamedTuple):

@@ -114,7 +114,7 @@ def difference(held: Fit, free: Fit, which: int) -> Estimate:
 
 
 def fit(record: Record, free: Fit | None = None) -> Fit:
-    """Fit the drive of a free handle, or, given the fit `free` of that drive, of a held handle.
+    """Fit the drive of a free handle, or of a held handle, given the fit `free` of the free drive.
 
     Raises HapticdError if the handle moved in too few bursts.
     """
@@ -169,7 +169,7 @@ def tapered(time_s: npt.NDArray[np.floating], frequency_hz: float) -> npt.NDArra
 
 @dataclass(slots=True)
 class _Window:
-    """One burst: the force at each period, the periods `at` whose positions `seen_m` are fitted, and the start."""
+    """One burst: its force at each period, the periods `at` with the fitted positions `seen_m`, and its start."""
 
     frequency_hz: float
     force_n: Floats

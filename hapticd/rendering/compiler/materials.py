@@ -165,7 +165,7 @@ class Materials:
     def prepare(self, name: str, material: Material) -> Steps[None]:
         """Compute in advance the slow parts of a material that will be compiled under this name.
 
-        They are filters, with a pause after each, compensated shapes, and the spectrum of a waveform.
+        These are filters (one per step), compensated shapes, and the spectrum of a waveform.
         """
         used = self._used.get(self._index.get(name, -1))
         if used is not None and used.material is material:

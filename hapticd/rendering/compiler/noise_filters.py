@@ -53,7 +53,7 @@ class Model(NamedTuple):
 
 
 def design(texture: Noise, output: Output) -> Steps[Design]:
-    """Design the filters of a texture, with a pause after each.
+    """Design the filters of a texture, one in each step.
 
     The filter of a model that was identified at another rate takes tens of milliseconds.
     """
