@@ -4,7 +4,7 @@ Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environment
 the stylus passes strikes a mode with the amplitude A(v, F) = velocity_gain |v| + force_gain F.
 
 Between two strikes the acceleration is one free ringing, Im(z exp(p t)) with p = -B + i w, plus a drift. For given B
-and w, z and the drift of each interval are a linear fit. B and w have the smallest residual (variable projection). A
+and w, z and the drift of each interval are a linear fit; B and w minimise its residual (variable projection). A
 strike is the step in z from the decayed ringing before it to the ringing after it: z' - z exp(p dt) = A exp(-p d). Its
 magnitude gives A. Its phase -w d gives the delay d of the strike after its assumed time. Onsets are first found as
 steps of z between two windows, before and after each sample.

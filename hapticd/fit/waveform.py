@@ -276,10 +276,7 @@ class Shape:
         return Equations(self.pulses, self.fitted, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
-        """Return the fractions (n,) of each pulse's variance that the shape of the others explains.
-
-        They are for the variance with noise, and without noise.
-        """
+        """Return the fractions (n,) of each pulse's variance, with noise and without, that the others' shape explains."""
         equations = self.equations
         shares = []
         for index, (pulse, where) in enumerate(zip(self.pulses, self.fitted, strict=True)):
@@ -564,8 +561,7 @@ def _alike(
 ) -> tuple[Sequence[Pulse], Shape, bool, Floats]:
     """Return the pulses that have a common shape, the shape, whether it is faded out, and the variance it explains.
 
-    The explained variance (n,) of a pulse is that by the shape of the others. Pulses of other shape are added to
-    `excluded`.
+    A pulse's explained variance (n,) is that by the shape of the others. Pulses of other shape are added to `excluded`.
     """
     if len(pulses) < WAVEFORM_LIMITS.min_pulses:
         reasons = [*excluded.lines(), *earlier]
