@@ -276,7 +276,7 @@ class Shape:
         return Equations(self.pulses, self.fitted, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
-        """Return the fractions (n,) of each pulse's variance, with noise and without, that the others' shape explains."""
+        """Return the fractions (n,) of each pulse's variance, with and without noise, that the others explain."""
         equations = self.equations
         shares = []
         for index, (pulse, where) in enumerate(zip(self.pulses, self.fitted, strict=True)):
