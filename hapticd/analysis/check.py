@@ -62,7 +62,7 @@ class Vibration:
     """Frequency of the mode, peak of the texture's spectrum, or the frequency below which half of the waveform's energy
     lies."""
     shown_hz: float | None
-    """The frequency that is displayed, None if it is silent."""
+    """The frequency that is displayed; None if the vibration is silent."""
     error: float | None
     """Error of the handle's acceleration (hapticd.rendering.displayed_error.displayed_error); None if the handle is
     unknown or another frequency is displayed."""
@@ -70,7 +70,7 @@ class Vibration:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A material of the library, whether the scene uses it, and its vibrations (`sounds`)."""
+    """A material of the configuration, whether the scene uses it, and its vibrations (`sounds`)."""
 
     name: str
     used: bool
@@ -122,7 +122,7 @@ class Report:
 
 
 def check(config: Config) -> Report:
-    """Check a configuration; what cannot be displayed is reported and raises no error."""
+    """Check a configuration; return a report, which also lists what cannot be displayed."""
     scene, materials = config.scene, config.materials
     device = _device(config)
     output = output_of(config, config.servo.rate_hz, device.link_hz)
@@ -167,7 +167,7 @@ def _weak_discs(config: Config) -> Iterator[Problem]:
 
 
 def _imperfect_fits(shown: Mapping[str, Material]) -> Iterator[Problem]:
-    """Yield a note with the reasons for each fit of a material of the scene that is not good."""
+    """Yield a note, with the reasons, for each fit of the scene's materials whose verdict is not good."""
     for name, material in shown.items():
         for kind, verdict in material.fitted.items():
             if verdict.quality != "good":

@@ -1,10 +1,10 @@
 """Least squares with intervals, for points of unequal errors with additional scatter; and robust regression.
 
-The variance of a point is its known measurement variance plus that of a scatter, which is equal for all points or in
-known ratios. The scatter is chosen so that the weighted sum of squares equals its degrees of freedom (Paule and Mandel,
-"Consensus values and weighting factors", 1982), and is 0 if the sum is smaller without scatter. Intervals are Student's
-t scaled by the weighted squares (Hartung and Knapp, 2001). With equal measurement variances this is ordinary least
-squares.
+The variance of a point is its known measurement variance plus that of an additional scatter, which is equal for all
+points or in known ratios. The scatter is chosen so that the weighted sum of squared residuals equals its degrees of
+freedom (Paule and Mandel, "Consensus values and weighting factors", 1982), and is 0 if the sum is smaller without it.
+Intervals are Student's t scaled by that sum (Hartung and Knapp, 2001). With equal measurement variances this is
+ordinary least squares.
 
 The robust regression is Tukey's bisquare M-estimate; its intervals hold even if the scales of the errors are wrong.
 """
@@ -37,7 +37,7 @@ class FitError(HapticdError):
 
 
 class UnitError(FitError):
-    """The unit or the sign of a recording is wrong, and so probably those of its complete set."""
+    """The unit or the sign of a recording is wrong, and so probably in all recordings of its set."""
 
 
 def require_scipy(what: str = "fitting recordings") -> None:
@@ -168,7 +168,8 @@ def common(values: Floats, variances: Floats | None = None) -> Estimate:
 def f_test_p(squares: float, freedom: int, fuller: float, fuller_freedom: int) -> float:
     """Return the p value of the F test of a model against a fuller one, which has more columns.
 
-    `squares` and `fuller` are their weighted sums of squares, with `freedom` and `fuller_freedom` degrees of freedom.
+    `squares` and `fuller` are the weighted sums of squares of both models, `freedom` and `fuller_freedom` their degrees
+    of freedom.
     """
     from scipy.special import fdtrc
 
@@ -247,8 +248,9 @@ def robust(columns: Floats, y: Floats, shifts: Floats | None = None, grows: bool
 
     The scale of the errors is equal for all points, or, with `grows`, a + b |modelled y|, with a and b from the
     absolute residuals. Intervals are from Huber's (1981) sandwich estimate with residuals enlarged for their leverage
-    (MacKinnon and White, 1985), so that wrong scales do not invalidate them. `shifts` (m, n) are the changes of y by
-    one standard deviation of each of m systematic errors. Raises FitError if there are not more points than columns.
+    (MacKinnon and White, 1985), so that wrong scales do not invalidate the intervals. `shifts` (m, n) are the changes
+    of y by one standard deviation of each of m systematic errors. Raises FitError if there are not more points than
+    columns.
     """
     count, unknowns = columns.shape
     if count <= unknowns:

@@ -1,6 +1,6 @@
 """Fits of materials to recordings of an instrumented stylus, for `hapticd fit`.
 
-    from_files      reads files, runs a fit, selects what goes into the material: begin here
+    from_files      reads files, runs a fit, selects its values for the material: begin here
     options         options of a fit
     recording       reads and saves recordings in SI units on a uniform clock
     preparation     prepares recordings for every fit: impossible samples, gaps, units, rate, motion

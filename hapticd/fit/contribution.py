@@ -1,4 +1,4 @@
-"""Contribution of a fit to a material as plain data, and its addition to the material.
+"""Contribution of a fit to a material: fitted keys and provenance as plain data, and their addition to the material.
 
 A contribution needs neither the fit nor the recordings: it can be stored and added to a material later.
 """
@@ -23,7 +23,7 @@ from hapticd.fit.result import estimates
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """Contribution of one fit to a material."""
+    """Keys and provenance that one fit contributes to a material."""
 
     kind: Kind
     figures: Mapping[str, object]
@@ -38,7 +38,7 @@ class Added:
 
     material: Material
     assumed_n_per_m: float | None
-    """The default stiffness, if neither the user nor a recording determined it, else None."""
+    """The default stiffness, if neither the user nor a recording determined the stiffness, else None."""
     replaced: tuple[str, ...]
     """Keys of the material whose earlier values the contribution replaced."""
 

@@ -152,7 +152,7 @@ def fit_taps(
 ) -> TapFit | WaveformFit:
     """Fit the taps of one material by modes or by a waveform; `progress` and `excluded` are those of fit_tap.
 
-    Raises FitError (one line) if the recordings do not support a fit; if neither fits, the error is that of the mode.
+    Raises FitError (one line) if the recordings support neither fit; the error is then that of the modes.
     """
     require_scipy()
     refuse_duplicates(recordings)
@@ -181,12 +181,12 @@ def fit_taps(
 def _better_waveform(
     ringing: TapFit | FitError, recordings: Sequence[Recording], excluded: Exclusions
 ) -> WaveformFit | None:
-    """Return the waveform if it explains the taps better than the modes do, else None.
+    """Return the fit of a waveform if it explains the taps better than the modes do, else None.
 
-    A mode is taken if it rings, that is, falls to 1/e in 0.3 of its period or later, and if one or two modes explain
-    95 % of the taps' variance (the median; a tap that was left out counts as 0). Otherwise a waveform is taken if its
-    residual has less than half the variance of the mode's. The comparison favours the mode, which is fitted to each tap
-    separately; the waveform of a tap is fitted to the other taps.
+    The modes are kept if they ring, that is, fall to 1/e in 0.3 of a period or later, and explain 95 % of the taps'
+    variance (the median; a tap that was left out counts as 0). Otherwise the waveform is taken if its residual has less
+    than half the variance of the modes' residual. The comparison favours the modes, which are fitted to each tap
+    separately; the waveform that explains a tap is fitted to the other taps.
     """
     if isinstance(ringing, UnitError):
         return None

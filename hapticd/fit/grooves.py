@@ -4,13 +4,13 @@ Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environment
 the stylus passes strikes a mode with the amplitude A(v, F) = velocity_gain |v| + force_gain F.
 
 Between two strikes the acceleration is one free ringing, Im(z exp(p t)) with p = -B + i w, plus a drift. For given B
-and w each interval is a separate linear fit. B and w are those with the smallest residual (variable projection). A
+and w, z and the drift of each interval are a linear fit; B and w minimise its residual (variable projection). A
 strike is the step in z from the decayed ringing before it to the ringing after it: z' - z exp(p dt) = A exp(-p d). Its
 magnitude gives A. Its phase -w d gives the delay d of the strike after its assumed time. Onsets are first found as
 steps of z between two windows, before and after each sample.
 
-Frequency and decay are fitted over groups of strikes. Their scatter gives the intervals, and shows whether they change
-with speed or force. The gains are an M-estimate, which a few outliers do not influence.
+Frequency and decay are fitted to groups of strikes. Their scatter between groups gives the intervals, and shows whether
+they change with speed or force. The gains are an M-estimate, which a few outliers do not influence.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _loudest_frequency(acceleration: Floats, rate_hz: float) -> float:
 
 
 def _ringing_steps(acceleration: Floats, rate_hz: float, mode: Mode) -> Complexes:
-    """Return the step of z at each sample (n,): z of the window after it less z of the window before it."""
+    """Return the step of z at each sample (n,): z in the window after the sample less z in the window before."""
     from scipy.signal import fftconvolve
 
     length = max(6, round(GROOVE_LIMITS.window_cycles * rate_hz / mode.frequency_hz))
@@ -85,10 +85,10 @@ def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
 
 
 def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
-    """Return the sorted sample indices of the strikes, which are found and subtracted from the largest down.
+    """Return the sorted sample indices of the strikes: each is found and subtracted in turn, the largest first.
 
-    `step` is the step of z at each sample, `unit` that of a strike of amplitude 1. Two strikes differ by more than
-    `reach` samples.
+    `step` is the step of z at each sample, `unit` that of a strike of amplitude 1. The distance of two strikes
+    exceeds `reach` samples.
     """
     left = step.copy()
     middle = len(unit) // 2
@@ -123,7 +123,7 @@ class Row:
     first_m: float
 
     def offsets(self, position: Floats) -> Floats:
-        """Return signed distances (n,) of strikes from their grooves, as fractions of the spacing."""
+        """Return signed distances (n,) of strikes at `position` from their grooves, as fractions of the spacing."""
         return np.asarray(position - self.first_m - self.number * self.spacing_m) / self.spacing_m
 
     def unevenness(self, position: Floats) -> float:
@@ -134,8 +134,8 @@ class Row:
 def row_of(position: Floats) -> Row:
     """Return the row of strikes at `position` (n,), in m.
 
-    Grooves are numbered by position, or by the steps between strikes if that row is more regular, as it is if the
-    position drifts.
+    Grooves are numbered by position, or by the distances of successive strikes if that makes the row more regular, as
+    it does for a position that drifts.
     """
     steps = np.abs(np.diff(position))
     steps = steps[steps > 0]
@@ -153,7 +153,7 @@ def _slope_of_row(number: Ints, position: Floats) -> float:
 
 
 def _by_step(position: Floats, spacing: float) -> Row:
-    """Return the row with its grooves numbered by the steps between strikes."""
+    """Return the row with its grooves numbered by the distances between successive strikes."""
     number = np.zeros(len(position), dtype=np.int64)
     for _ in range(4):
         number = np.concatenate(([0], np.cumsum(np.round(np.diff(position) / spacing).astype(np.int64))))
@@ -164,8 +164,8 @@ def _by_step(position: Floats, spacing: float) -> Row:
 def _by_position(position: Floats, usual: float) -> Row:
     """Return the row with its grooves numbered by position.
 
-    Its spacing, 0.5 to 2.5 times the `usual` step, is the one at which the phases of the strikes agree best. They agree
-    as well at half of it, so the largest is taken.
+    At its spacing, 0.5 to 2.5 times the `usual` distance of strikes, the phases of the strikes agree best. They agree
+    as well at half that spacing, so the largest such spacing is taken.
     """
     few = position[:300]
     waves = np.arange(0.4 / usual, 2.0 / usual, 0.2 / max(float(np.ptp(few)), usual))
@@ -195,8 +195,8 @@ def _by_position(position: Floats, usual: float) -> Row:
 class _FreeRinging:
     """Intervals of free ringing, fitted in parallel: arrays (intervals, samples), 0 beyond the end of an interval.
 
-    Each is Im(z exp((-B + i w) t)) plus a level and a slope. For given B and w, z and the drift of each interval are a
-    separate linear fit.
+    Each interval is Im(z exp((-B + i w) t)) plus a drift, which is a level and a slope. For given B and w, z and drift
+    of each interval are a separate linear fit.
     """
 
     def __init__(
@@ -271,7 +271,7 @@ class ModelledStroke:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The mode of consecutive intervals, and their mean speed and force."""
+    """The mode fitted to consecutive intervals, and their mean speed and force."""
 
     mode: Mode
     speed_m_per_s: float
@@ -279,7 +279,7 @@ class Group:
 
 
 class StrokeFit:
-    """The strikes of one recording, and their mode."""
+    """The strikes in one recording, and the mode that they strike."""
 
     def __init__(self, stroke: Stroke) -> None:
         self.stroke = stroke
@@ -308,7 +308,7 @@ class StrokeFit:
     # ---- Onsets
 
     def _initial(self, angular: float) -> tuple[Mode, Floats]:
-        """Try several dampings; return the mode and onsets of the most regular strikes.
+        """Search strikes with modes of several dampings; return the mode and onsets of the most regular strikes.
 
         A wrong damping gives false strikes at random positions.
         """
@@ -399,7 +399,7 @@ class StrokeFit:
     def _without_echoes(self, mode: Mode, onsets: Floats) -> Floats:
         """Return the onsets without echoes, which a wrong damping makes half-way between two strikes.
 
-        Every other strike is an echo if these strikes are at most half as strong as the rest.
+        The strikes with odd, or with even, groove numbers are echoes if they are at most half as strong as the others.
         """
         sizes = np.abs(self._jumps(mode, onsets)[0])
         odd = row_of(self._positions(onsets)).number % 2 == 1
@@ -455,7 +455,7 @@ class StrokeFit:
         return float(np.sum(windows.solved(self._refined(mode, windows))[1] ** 2))
 
     def _searched(self, mode: Mode, onsets: Floats, wide: bool = False) -> Mode:
-        """Return the best of a grid of modes about this one; `wide` is a grid of more frequencies."""
+        """Return the best of a grid of modes about this one; with `wide`, the grid has more frequencies."""
         w = mode.angular_frequency_rad_per_s
         reach = min(0.3 * w, 2 * math.pi / float(np.median(np.diff(onsets))))
         windows = self._windows(Mode(0.05 * w, w), onsets[: 2 * GROOVE_LIMITS.strikes_in_group])
@@ -509,7 +509,7 @@ class StrokeFit:
         return speed, force
 
     def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
-        """Return the amplitudes of all strikes, positive along the motion, and whether both sides have ringing."""
+        """Return the amplitude of each strike, positive along the motion, and whether it has ringing on both sides."""
         jump, complete = self._jumps(mode, self._onsets)
         # Strikes near replaced samples are not used.
         at = np.round(self._onsets * self._rate_hz).astype(np.int64)
@@ -571,7 +571,7 @@ def _gains(
 ) -> tuple[list[Estimate], float]:
     """Return the gains of speed and of force, which are at least 0, and the correlation of the law.
 
-    `columns` are speed and force (n, 2), `shifts` those of StrokeFit, `law` the fit that allows negative gains.
+    `columns` are speed and force (n, 2), `shifts` are from StrokeFit.shifts, `law` is the fit with gains of any sign.
     Raises FitError if a gain is significantly negative.
     """
     gains, correlation = list(law.coefficients), law.correlation
@@ -608,7 +608,7 @@ def _offset(columns: Floats, amplitude: Floats, shifts: Floats, warnings: Warnin
 def _spacing(fits: Sequence[StrokeFit]) -> Estimate:
     """Return the common spacing of all recordings; each row has a separate origin.
 
-    The estimate is robust, because a strike with a short ringing may have a wrong position.
+    The regression is robust, because a strike with a short ringing may have a wrong position.
     """
     parts = [each.row for each in fits]
     position = np.concatenate([each - each.mean() for each, _ in parts])
@@ -643,7 +643,7 @@ class GroovesFit(Fit):
     correlation: float
     """Correlation of measured and predicted amplitudes."""
     offset_m_per_s2: Estimate | None
-    """Constant of a law with two gains and a constant; None if speed and force vary too little."""
+    """Constant of a law of two gains plus a constant; None if speed and force vary too little to separate it."""
     frequency_per_speed_hz_s_per_m: Estimate | None
     frequency_per_force_hz_per_n: Estimate | None
     variance_accounted_for: float

@@ -30,7 +30,7 @@ class PreparationLimits:
     max_findings: int = _limit(
         50, "findings a column", "More spikes or standstills are part of the signal; more leaps are an error."
     )
-    spike_to_noise: float = _limit(15.0, "standard deviations", "Noise does not reach this distance.")
+    spike_to_noise: float = _limit(15.0, "standard deviations", "Noise does not deviate this far.")
     spike_ratio: float = _limit(8.0, "ratio", "A spike of acceleration exceeds the samples next to it by this factor.")
     max_spike_samples: int = _limit(3, "samples", "A spike of acceleration that lasts longer may be a contact.")
     max_spike_s: float = _limit(0.01, "s", "A spike of force or speed that lasts longer may be a motion of the hand.")
@@ -40,14 +40,14 @@ class PreparationLimits:
     max_leap_return_s: float = _limit(0.02, "s", "A position that returns within this time had a spike, not a leap.")
     min_complete: float = _limit(0.5, "fraction of samples", "A recording with fewer usable samples is left out.")
     min_samples_per_cycle: float = _limit(2.5, "samples", "At 2 a mode and its alias have the same samples.")
-    min_acceleration_span_m_per_s2: float = _limit(0.02, "m/s^2", "Smaller vibration is not felt: a wrong unit.")
+    min_acceleration_span_m_per_s2: float = _limit(0.02, "m/s^2", "A smaller change is not felt: a wrong unit.")
     min_force_n: float = _limit(1e-3, "N", "A smaller largest force is not felt: a wrong unit.")
     min_force_variation: float = _limit(
-        0.2, "fraction of the mean", "With less variation the gain of the force is unknown."
+        0.2, "fraction of the mean", "With less variation the force gain is not determined."
     )
     max_stroke_m: float = _limit(5.0, "m", "No hand strokes farther: a wrong unit.")
     min_stroke_speed_m_per_s: float = _limit(1e-4, "m/s", "A slower stroke has a wrong unit or column.")
-    max_speed_ratio: float = _limit(2.0, "ratio", "Speed column and position may differ by this factor.")
+    max_speed_ratio: float = _limit(2.0, "ratio", "Speed column and position may differ by this ratio.")
     gravity_tolerance: float = _limit(0.02, "fraction", "A rest value this near to 1 or 96 m/s^2 is a wrong unit.")
 
 
@@ -67,14 +67,16 @@ class TapLimits:
         "A shorter recording may ring to its end, so its level and noise are those of the rest before the tap.",
     )
     max_rest_change: float = _limit(
-        0.1, "fraction of the largest change", "The rest at the beginning of a recording ends at this change."
+        0.1,
+        "fraction of the largest change",
+        "The rest at the beginning of a recording ends where a change exceeds this.",
     )
     approach_s: float = _limit(0.01, "s", "The speed is the slope of the position over this time before the onset.")
     min_approach_samples: int = _limit(4, "samples", "Fewer positions do not determine a speed.")
     max_approach_residual: float = _limit(
         0.5, "fraction of the variance", "If a line leaves more of the position, the approach is not even."
     )
-    min_rest_samples: int = _limit(2, "samples", "With less rest before a tap its level is unknown.")
+    min_rest_samples: int = _limit(2, "samples", "With less rest before a tap its offset is unknown.")
     certain_rest_samples: int = _limit(8, "samples", "With this rest before a tap its onset is not checked.")
     max_onset_error_samples: float = _limit(
         1.0, "samples", "With less rest, the onset must be known to this standard error."
@@ -89,14 +91,16 @@ class TapLimits:
         16.0, "ratio", "A louder tap with uncertain parameters is not too weak but has another shape."
     )
     min_decay_samples: float = _limit(2.0, "samples", "A faster decay is a glitch of the sensor.")
-    fit_decay_times: float = _limit(7.0, "decay times", "A tap is fitted to here: it has decayed to a thousandth.")
+    fit_decay_times: float = _limit(7.0, "decay times", "A tap is fitted until then, when it is at a thousandth.")
     min_explained: float = _limit(0.5, "fraction of the variance", "A tap that a mode explains less is left out.")
     well_explained: float = _limit(
         0.95, "fraction of the variance", "Below, two modes are tried, and the verdict is poor if they do not help."
     )
     max_frequency_difference: float = _limit(0.1, "difference of logarithms", "Nearer frequencies are the same mode.")
     min_same_pairs: float = _limit(
-        0.7, "fraction of the pairs", "If this fraction agrees, the material has these modes."
+        0.7,
+        "fraction of the pairs",
+        "If this fraction of the taps' mode pairs agrees, the material has both modes.",
     )
     min_second_gain: float = _limit(
         0.01, "fraction of the variance", "A second mode is offered if both explain this much more than one mode."
@@ -110,7 +114,7 @@ class TapLimits:
         0.02, "fraction of the ringing, RMS", "A smaller pattern in the residuals is not reported."
     )
     max_other_sign: float = _limit(
-        0.25, "fraction of the taps", "If more taps begin the other way, the recordings are refused."
+        0.25, "fraction of the taps", "If more taps begin with the other sign, the recordings are refused."
     )
     min_frequency_hz: float = _limit(15.0, "Hz", "Slower motion is that of a hand.")
     max_decay: float = _limit(0.5, "fraction of the fitted time", "A ringing with a longer decay time does not decay.")
@@ -153,7 +157,9 @@ class WaveformLimits:
         0.95, "fraction of the variance", "A ringing mode that explains this is taken without trying a waveform."
     )
     max_left_ratio: float = _limit(
-        0.5, "ratio to what the mode leaves", "A waveform is taken if it leaves less of the variance."
+        0.5,
+        "ratio to what the mode leaves",
+        "A waveform is taken if it leaves less of the variance unexplained than this.",
     )
     min_pulses: int = _limit(3, "pulses", "Fewer pulses give no useful interval.")
     large: float = _limit(0.6, "fraction of the peak", "The rise of a pulse ends where it exceeds this level.")
@@ -165,9 +171,9 @@ class WaveformLimits:
     max_coarse_loss: float = _limit(
         1e-4,
         "fraction of the variance",
-        "The rate of the samples is halved while this loses no more.",
+        "The rate of the samples is halved while that loses no more of the variance.",
     )
-    max_end: float = _limit(0.05, "fraction of the peak", "A waveform that ends above it is faded out.")
+    max_end: float = _limit(0.05, "fraction of the peak", "A waveform whose end is above this is faded out.")
     fade: float = _limit(0.2, "fraction of the length", "A waveform that does not end is faded out over its last part.")
     min_explained: float = _limit(
         0.5, "fraction of the variance", "A pulse that the waveform of the others explains less is left out."
@@ -185,7 +191,7 @@ class RingingLimits:
     """Thresholds of the fit of decaying sinusoids, which taps and punctures share."""
 
     min_samples: int = _limit(16, "samples", "Fewer do not determine a mode.")
-    judged_decay_times: float = _limit(5.0, "decay times", "The explained variance is that from the onset to here.")
+    judged_decay_times: float = _limit(5.0, "decay times", "The explained variance is that from the onset until then.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,8 +202,8 @@ class SpectralLineLimits:
     max_chance: float = _limit(1e-3, "probability", "Noise alone has a line in one of a thousand recordings.")
     min_share: float = _limit(0.005, "fraction of the power", "A weaker line does not change the results.")
     max_same_hz: float = _limit(0.5, "Hz", "Lines of two recordings that are nearer are the same.")
-    noise_band_hz: float = _limit(8.0, "Hz", "The noise of a line is measured over this band on either side.")
-    min_recording_s: float = _limit(0.5, "s", "A shorter one does not separate a line from a ringing.")
+    noise_band_hz: float = _limit(8.0, "Hz", "The noise near a line is measured over this band on each side.")
+    min_recording_s: float = _limit(0.5, "s", "A shorter recording does not separate line and ringing.")
     max_named: int = _limit(5, "lines", "A report names the loudest ones only.")
 
 
@@ -208,7 +214,7 @@ class GrooveLimits:
     min_section_s: float = _limit(0.1, "s", "A shorter section between gaps and clipped samples is left out.")
     min_strikes: int = _limit(8, "strikes", "Fewer show no row of grooves.")
     min_strike: float = _limit(0.3, "fraction of strong strikes", "Weaker steps of the ringing are not strikes.")
-    window_cycles: float = _limit(1.25, "cycles", "Ringing on either side of a sample that is searched for a strike.")
+    window_cycles: float = _limit(1.25, "cycles", "Length of ringing on either side that shows a strike at a sample.")
     strikes_in_group: int = _limit(8, "strikes", "Frequency and decay are fitted over groups of this size.")
     even_row: float = _limit(0.05, "RMS fraction of the spacing", "For a more even row no other damping is tried.")
     max_first_unevenness: float = _limit(0.22, "RMS fraction of the spacing", "Strikes at random positions have 0.29.")
@@ -223,7 +229,7 @@ class GrooveLimits:
     max_spacing_difference: float = _limit(0.03, "fraction", "Recordings that differ more are of other grooves.")
     max_frequency_difference: float = _limit(0.25, "fraction", "Recordings that differ more are of other grooves.")
     min_frequency_change: float = _limit(0.02, "fraction", "A smaller change with speed or force is not reported.")
-    change_confidence: float = _limit(0.95, "probability", "A reported change is outside this interval.")
+    change_confidence: float = _limit(0.95, "probability", "The interval of a reported change excludes 0.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,17 +246,19 @@ class TextureLimits:
     min_density_fall: float = _limit(
         1.78,
         "ratio",
-        "Fall of the density from 0.325 to 0.445 of the rate: noise of two low poles, filtered at this "
-        "rate; a continuous signal falls more.",
+        "Least fall of a texture's density from 0.325 to 0.445 of the rate: that of noise with two low poles, made "
+        "at this rate; a continuous signal falls more.",
     )
     max_replaced: float = _limit(0.02, "fraction of a block", "A block with more replaced samples is left out.")
     knock_to_noise: float = _limit(15.0, "standard deviations of a block", "Noise does not reach a knock.")
     max_knock_blocks: float = _limit(0.1, "fraction of the blocks", "With more knocks it is a texture of knocks.")
     max_tone: float = _limit(0.5, "fraction of the power", "A louder single tone is not a texture.")
     jackknife_groups: int = _limit(20, "groups", "The jackknife leaves out one of at most this number of groups.")
-    wide_top: float = _limit(0.5, "fraction of the highest density", "The peak is that of a parabola fitted above.")
+    wide_top: float = _limit(
+        0.5, "fraction of the highest density", "The peak is that of a parabola fitted to higher densities."
+    )
     narrow_top: float = _limit(
-        0.75, "fraction of the highest density", "A second parabola, fitted above, checks the peak."
+        0.75, "fraction of the highest density", "A second parabola, fitted to higher densities, checks the peak."
     )
     smoothing_hz: float = _limit(15.0, "Hz", "Densities are means over this band on either side.")
     min_rms_m_per_s2: float = _limit(0.03, "m/s^2", "A weaker usual block is not felt: a wrong unit.")
@@ -262,12 +270,12 @@ class TextureLimits:
     max_pitch_scatter: float = _limit(
         0.3, "standard deviation of the logarithm", "A mean frequency that scatters more is not of one texture."
     )
-    min_pitch_step: float = _limit(0.15, "difference of logarithms", "A larger step is a second texture.")
-    min_loudness_step: float = _limit(0.4, "difference of logarithms", "A larger step is a second texture.")
-    step_to_error: float = _limit(6.0, "standard errors", "A step must be larger than this.")
+    min_pitch_step: float = _limit(0.15, "difference of logarithms", "A larger frequency step is a second texture.")
+    min_loudness_step: float = _limit(0.4, "difference of logarithms", "A larger loudness step is a second texture.")
+    step_to_error: float = _limit(6.0, "standard errors", "A step to a second texture is larger than this.")
     min_frequency_change: float = _limit(0.05, "fraction", "A smaller change with speed or force is not reported.")
     change_confidence: float = _limit(
-        0.99, "probability", "A reported change is outside this interval; a good fit seldom becomes fair by chance."
+        0.99, "probability", "The interval of a reported change excludes 0; chance seldom makes a good fit fair."
     )
 
 
@@ -278,16 +286,18 @@ class PunctureLimits:
     min_punctures: int = _limit(2, "punctures", "One puncture gives no interval.")
     max_drop_s: float = _limit(0.002, "s", "The force of a rupture falls within this time.")
     min_drop: float = _limit(0.5, "fraction of the force", "A smaller fall is not a rupture.")
-    min_load: float = _limit(0.25, "fraction of the rupture force", "The stiffness is fitted from here.")
-    max_load: float = _limit(0.98, "fraction of the rupture force", "The stiffness is fitted to here.")
+    min_load: float = _limit(0.25, "fraction of the rupture force", "The stiffness is fitted from this force.")
+    max_load: float = _limit(0.98, "fraction of the rupture force", "The stiffness is fitted up to this force.")
     min_loaded_samples: int = _limit(20, "samples", "Fewer do not determine a stiffness.")
     min_r_squared: float = _limit(0.7, "r^2", "Below, force does not follow position: swapped columns.")
     max_way_m: float = _limit(1.0, "m", "No puncture is deeper: a wrong unit.")
     min_stiffness_n_per_m: float = _limit(1.0, "N/m", "A softer membrane has a wrong unit.")
     max_stiffness_n_per_m: float = _limit(1e5, "N/m", "A stiffer membrane has a wrong unit.")
-    max_stiffness_change: float = _limit(0.1, "fraction", "A larger change on the way is reported.")
+    max_stiffness_change: float = _limit(0.1, "fraction", "A larger change of the stiffness is reported.")
     soft_load: float = _limit(0.02, "fraction of the load", "The touch is where the force exceeds this.")
-    max_soft_depth: float = _limit(0.03, "fraction of the depth", "If the touch is earlier, a soft start is reported.")
+    max_soft_depth: float = _limit(
+        0.03, "fraction of the depth", "If the touch is earlier than the line by more, a soft start is reported."
+    )
     max_force_left: float = _limit(0.1, "fraction of the load", "A larger force after the rupture is reported.")
     second_rupture: float = _limit(
         0.3, "fraction of the load", "A recording with another drop from such a force is refused."

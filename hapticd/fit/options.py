@@ -34,7 +34,7 @@ class FitOptions:
     two_modes: bool | None = None
     mode_table: bool | None = None
     autoregressive: bool | None = None
-    """Whether textures are autoregressive models."""
+    """Whether a texture is fitted by autoregressive models."""
 
     @property
     def of_modes(self) -> list[str]:
@@ -42,7 +42,7 @@ class FitOptions:
         return [name for name in ("law", "two_modes", "mode_table", "attack") if getattr(self, name) is not None]
 
     def fault(self, spelled: Callable[[str], str]) -> tuple[str, str] | None:
-        """Return an option that conflicts with another, and the error, or None.
+        """Return an option that conflicts with another and the text of the error; None without a conflict.
 
         `spelled(name)` returns an option as the user writes it.
         """

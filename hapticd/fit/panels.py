@@ -49,7 +49,7 @@ def page_of(
 
 
 def first_row(kind: Kind, fit: Fit, recordings: Sequence[Recording]) -> Row:
-    """Return the first row of pictures of the report: the events of all recordings together."""
+    """Return the report's first row of pictures, which shows the events of all recordings together."""
     rows = _ROWS_BY_KIND[kind](fit, [_kept(each, kind) for each in recordings])
     return next((row for row in rows if row), ())
 
@@ -182,7 +182,7 @@ def _columns(events: Sequence[object], *names: str) -> tuple[Floats, ...]:
 
 
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    """Yield pictures of exclusions: where they are in partly used recordings, and the first ones in detail."""
+    """Yield pictures of excluded events and parts: where they are in partly used recordings, the first in detail."""
     seen = {each.name: each for each in recordings if each.acceleration_m_per_s2 is not None}
     excluded: list[Exclusion] = [each for each in fit.left_out if each.recording in seen]
     if not excluded:

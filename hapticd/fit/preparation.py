@@ -6,9 +6,9 @@ a column are beyond its limit, its unit or column is wrong, and the recording is
     beyond a limit    a force above 200 N, for example; NaN is beyond every limit
     spike             force or speed far beyond its usual values for at most 10 ms, or acceleration for three samples
     standstill        equal values of force, speed or acceleration for 50 ms or more, much longer than elsewhere
-    leap              a jump of the position between two samples. If the position returns soon, it is a spike. After a
-                      standstill, samples were lost. Otherwise an encoder wrapped or slipped, and the jump is
-                      subtracted from all later positions
+    leap              a jump of the position between two samples. If the position returns soon, the jump is a spike.
+                      After a standstill, it means lost samples. Otherwise an encoder wrapped or slipped, and the jump
+                      is subtracted from all later positions
 """
 
 from __future__ import annotations
@@ -241,7 +241,7 @@ class _Column:
         """Remove leaps of a position from one sample to the next.
 
         A leap is far larger than the largest usual step, and either larger than the steps next to it or faster than
-        `fastest`, in m/s. A leap that returns within 20 ms is replaced as a spike.
+        `fastest`, in m/s. If the position returns within 20 ms, the samples until then are replaced as a spike.
         """
         steps = np.diff(self.values)
         size = np.abs(steps)
@@ -412,7 +412,7 @@ def acceleration_of(recording: Recording) -> Floats:
 
 
 def force_of(recording: Recording) -> Floats:
-    """Return the normal force, N, pressing positive; raise FitError if it was not recorded, is 0 or too small."""
+    """Return the normal force, N, positive if pressing; raise FitError if it was not recorded, is 0 or too small."""
     values = recording.force_n
     if values is None:
         raise FitError(f"{recording.name}: no force, which this fit needs")
@@ -450,7 +450,7 @@ def check_force_varies(recordings: Sequence[Recording], force: Floats, warnings:
 
 
 def check_range(usual: float, least: float, most: float, figure: str) -> None:
-    """Raise FitError if the usual amplitude, m/s^2, is out of range; `figure` is its name in the error."""
+    """Raise FitError unless the `usual` amplitude, m/s^2, is from `least` to `most`; `figure` names it in the error."""
     if not least <= usual <= most:
         raise FitError(
             f"{figure}: must be between {least:g} and {most:g} m/s^2, is {usual:.3g}: wrong unit of the acceleration?"

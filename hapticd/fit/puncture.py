@@ -84,8 +84,8 @@ class _Puncture:
     def _load(self) -> None:
         """Fit a line to force versus position before the rupture.
 
-        Sets the stiffness, the force without contact, the position of the surface, where the line has that force, and
-        the load just before the drop. Raises FitError if the force does not follow the position.
+        Sets the stiffness, the force without contact, the position of the surface (where the line has the force without
+        contact), and the load just before the drop. Raises FitError if the force does not follow the position.
         """
         at, half, smooth, name = self._at, self._half, self._smooth, self._name
         least = max(0, at - 2 * half)
@@ -136,8 +136,8 @@ class _Puncture:
     def _check_touch(self) -> None:
         """Add a warning if the membrane is softer at first than the fitted line.
 
-        It is softer if the force reaches 2 % of the load, or six standard errors if they are more, before the line
-        does, by more than 3 % of the depth.
+        It is softer if the force reaches 2 % of the load (or six standard errors, if that is more) before the line
+        does, by more than 3 % of the depth of the rupture.
         """
         half = self._half
         soft = max(PUNCTURE_LIMITS.soft_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
@@ -236,7 +236,7 @@ def _no_puncture(name: str) -> FitError:
 
 
 def _drop(force: Floats, rate_hz: float) -> int | None:
-    """Return the last sample before the force drops at once by half or more, else None."""
+    """Return the last sample before the force drops abruptly by half or more; None without such a drop."""
     half = max(1, round(PUNCTURE_LIMITS.max_drop_s * rate_hz / 2))
     if len(force) < 20 * half:
         return None
@@ -353,9 +353,9 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
 
 
 def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, warnings: Warnings) -> list[Rupture]:
-    """Fit each recording separately; return two or more ruptures, and add the warnings of those that are used.
+    """Fit each recording separately; return the ruptures, at least two, and add the warnings of their recordings.
 
-    Raises FitError if there are fewer.
+    Raises FitError for fewer than two ruptures.
     """
     preparation.refuse_duplicates(recordings)
     found = excluded.each(recordings, _Puncture)
@@ -375,7 +375,7 @@ def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, warnings: W
 def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rupture]:
     """Return the ruptures whose ringing is within a factor of three of the median; add the others to `excluded`.
 
-    If more than a quarter are outliers, all are returned.
+    If more than a quarter of the ruptures are outliers, all are returned.
     """
     ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
     usual = np.median(ringing, axis=0)

@@ -1,4 +1,4 @@
-"""Recordings of an instrumented stylus: reads, checks and converts them to SI units on a uniform clock.
+"""Recordings of an instrumented stylus: read, checked, and converted to SI units on a uniform clock.
 
 .csv  columns, named in the first line; separated by commas, semicolons, tabs or blanks
 .npz  arrays by name, as numpy.savez writes them; `rate_hz` and `speed_m_per_s` may be single numbers
@@ -53,7 +53,7 @@ Rate: TypeAlias = Annotated[float, Field(ge=MIN_RECORDING_RATE_HZ, le=MAX_RECORD
 
 
 class RecordingError(HapticdError):
-    """A recording cannot be used; one line with its name and the reason."""
+    """A recording cannot be used; the message is one line with its name and the reason."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(f"{name}: {reason}")
@@ -95,7 +95,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Arrays (n,), uniformly sampled at the same times, without NaN. A quantity that was not recorded is None."""
+    """Quantities of a recording: arrays (n,) at the same uniform times, without NaN; None if not recorded."""
 
     name: str
     rate_hz: float
@@ -105,7 +105,7 @@ class Recording:
     """Position along the surface's normal."""
     tangential_position_m: Floats | None
     speed_m_per_s: float | Floats | None
-    """One speed for all, one for each tap, or (n,)."""
+    """One speed for the recording, one for each tap, or (n,) for the samples."""
     source: Source
     sensor: Sensor | None = None
     """The accelerometer, if it is known."""

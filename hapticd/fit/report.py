@@ -1,6 +1,6 @@
 """Report of a fit: pictures of recording and model, the fitted values with their intervals, and the verdict.
 
-It is one file: an HTML page with embedded pictures, or a PNG. matplotlib is imported when something is drawn.
+The report is one file: an HTML page with embedded pictures, or a PNG. matplotlib is imported when something is drawn.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _CELL_INCHES: Final = (5.2, 3.6)
-"""Width and height of a picture with its title and labels."""
+"""Width and height of a picture including title and labels."""
 _GAP_INCHES: Final = (0.85, 1.05)
 """Width and height that title and labels take within _CELL_INCHES."""
 _MARGIN_INCHES: Final = (0.3, 0.2)
@@ -43,7 +43,7 @@ LABELS_BY_DECADES: Final = (
     (1.5, (1.0, 2.0, 5.0)),
     (MAX_LABELLED_DECADES, (1.0, 3.0)),
 )
-"""Pairs of decades and labels: an axis that spans at most these decades has these labels in each decade."""
+"""Pairs (decades, labels): a logarithmic axis that spans at most that many decades has these labels in each decade."""
 
 
 @dataclass(frozen=True, slots=True)

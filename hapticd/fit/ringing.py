@@ -49,7 +49,7 @@ class Ringing:
     noise_m_per_s2: float
     """RMS of the residual."""
     lack_of_fit: tuple[Floats, Floats]
-    """For one mode: scalar products of the residual and the shapes of OTHER_SHAPES (k,), and of these shapes (k, k).
+    """For one mode: scalar products of residual and OTHER_SHAPES (k,), and of OTHER_SHAPES with each other (k, k).
 
     The shapes have the amplitude of the mode and are orthogonal to the fitted parameters. Empty for more modes.
     """
@@ -244,7 +244,7 @@ class _Search:
     def at_the_onset(self, point: Floats) -> Floats:
         """Return the point, or a better one whose onset differs by half a period or a period.
 
-        The same ringing begins there with the other or the same sign.
+        At these onsets the same ringing begins with the other or the same sign.
         """
         least = self._squares(point)
         half_s = math.pi / math.exp(float(point[len(point) // 2]))

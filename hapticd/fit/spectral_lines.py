@@ -32,7 +32,10 @@ class SpectralLine:
 
 
 def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the lines of one recording (n,), the strongest first; more `needed` recordings lower the threshold."""
+    """Return the lines of one recording (n,), the strongest first.
+
+    `needed` is the number of recordings that must have a line; the more, the lower the threshold for each.
+    """
     from scipy.special import fdtri
 
     count = len(acceleration)
@@ -91,7 +94,7 @@ def lines_in_residual(acceleration: Floats, modelled: Floats, rate_hz: float, ne
 def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]]) -> list[SpectralLine]:
     """Return the lines that at least half of the recordings have, with their mean fraction, sorted by frequency.
 
-    `lines_in(recording, needed)` returns those of one recording, as `spectral_lines` does.
+    `lines_in(recording, needed)` returns the lines of one recording, as `spectral_lines` does.
     """
     count = len(recordings)
     needed = max(1, math.ceil(count / 2))

@@ -56,7 +56,7 @@ class Tap(Protocol):
 
 
 def check_speeds(taps: Sequence[Tap]) -> None:
-    """Raise FitError for impossible speeds, or if the fastest is less than 1.2 times the slowest."""
+    """Raise FitError for impossible speeds, or if the fastest tap is less than 1.2 times as fast as the slowest."""
     low, high = SPEED_LAW_LIMITS.min_speed_m_per_s, SPEED_LAW_LIMITS.max_speed_m_per_s
     slowest, fastest = min(taps, key=lambda tap: tap.speed_m_per_s), max(taps, key=lambda tap: tap.speed_m_per_s)
     for tap, allowed, unit in (
@@ -134,7 +134,7 @@ class Law:
     power: Power | None
     """The power law, or None if none fits the taps."""
     table: Amplitudes
-    """Amplitudes of the table, which interpolates linearly between them and down to 0 at rest."""
+    """Law by a table: amplitudes at several speeds, interpolated linearly between them and down to 0 at rest."""
     r_squared: float
     """r^2 of the chosen law, about the weighted mean."""
     left: float
@@ -151,12 +151,12 @@ class Law:
 
     @property
     def points(self) -> Amplitudes:
-        """`amplitudes` of a material: points of the power law if A(v) is one, else the table."""
+        """`amplitudes` of a material: points of the power law if the law is one, else the table."""
         return self.power.points if self.kind == "power" and self.power is not None else self.table
 
     @property
     def why(self) -> str:
-        """The reason for this law: AICc of the others."""
+        """The reason for this law, in words: by how much AICc of the others is higher."""
         names: Mapping[LawKind, str] = {"line": "a line", "power": "a power law", "table": "a table"}
         others = " and ".join(f"{above:.1f} for {names[kind]}" for kind, above in self.above.items() if above > 0)
         if self.kind == "line" and self.above.get("line", 0.0) > 0:
@@ -271,7 +271,7 @@ def knots_of(speeds: Floats, count: int) -> Floats:
 def table(
     speeds: Floats, amplitudes: Floats, variances: Floats, most: int = SPEED_LAW_LIMITS.max_table_speeds
 ) -> Amplitudes:
-    """Return the best table with at most `most` speeds and no amplitude below 0."""
+    """Return the table that fits best, of those with at most `most` speeds and no amplitude below 0."""
     knots = knots_of(speeds, min(most, max(2, len(speeds) - 2)))
     nodes = np.concatenate(([0.0], knots))
     hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
@@ -339,7 +339,7 @@ def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | Non
 
 
 def _step(logs: Floats, amplitudes: Floats, variances: Floats, height: float, exponent: float) -> tuple[Estimate, ...]:
-    """Return ln A at the speed whose logarithm is 0, and the exponent, after one Gauss-Newton step."""
+    """Return ln A where `logs` (logarithms of speed) are 0, and the exponent, after one Gauss-Newton step."""
     model = np.exp(height + exponent * logs)
     columns = np.column_stack((model, model * logs))
     wanted = amplitudes - model + columns @ np.array([height, exponent])

@@ -3,7 +3,7 @@
 The waveforms are those of hapticd's models (Okamura, Dennerlein and Howe, 1998, eq. 1 to 3) in closed form, not those
 of the renderer. The sensor is a linear system with poles, so its response to decaying sinusoids is a sum of
 exponentials: it has no integration error, and onsets lie between samples. The noise of textures is not filtered by the
-sensor, because its spectrum ends far below mounting and filter.
+sensor, because it ends far below the frequencies of mounting and filter.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Stylus:
     noise_rms: float = 0.02
     """RMS of white noise, as a fraction of the largest acceleration of the recording."""
     mounting_hz: float | None = None
-    """Resonance of the accelerometer on its mounting; None is rigid."""
+    """Resonance of the accelerometer on its mounting; None is a rigid mounting."""
     mounting_damping: float = 0.05
     """Damping of the mounting, as a fraction of critical damping."""
     filter_hz: float | None = None
@@ -98,7 +98,7 @@ def taps(
     stylus: Stylus = Stylus(),
     spacing_s: float = 0.1,
 ) -> tuple[Recording, TapTruth]:
-    """Return a recording with a tap at each speed, every `spacing_s`, and its true parameters.
+    """Return a recording with a tap at each speed, one every `spacing_s`, and the true parameters.
 
     Position is along the normal, 0 at the surface and negative in front of it.
     """
@@ -304,7 +304,7 @@ def _stroke(
 
 
 def _strike(onto: Floats, time: Floats, struck_s: float, amplitude: float, mode: Mode, stylus: Stylus) -> None:
-    """Add the sensor's response to A exp(-B t) sin(w t) from `struck_s`, for 14 decay times (a millionth)."""
+    """Add the sensor's response to A exp(-B t) sin(w t) from `struck_s` on, for 14 decay times (to a millionth)."""
     low = math.ceil(struck_s * stylus.rate_hz)
     high = min(len(time), low + math.ceil(14 * mode.decay_time_s * stylus.rate_hz))
     onto[low:high] += amplitude * stylus.ringing(mode, time[low:high] - struck_s)

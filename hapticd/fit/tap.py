@@ -50,11 +50,11 @@ class Event:
     """A loud event in a recording: a tap or its bounce."""
 
     first: int
-    """Index of its first loud sample."""
+    """Index of the first loud sample."""
     last: int
-    """Index of its last loud sample."""
+    """Index of the last loud sample."""
     noise: float
-    """Standard deviation of the noise in its section of the recording, m/s^2."""
+    """Standard deviation of the noise in the section of the recording without gaps, m/s^2."""
     peak: float
     """Largest magnitude of the acceleration without gravity and drift, m/s^2."""
 
@@ -94,7 +94,7 @@ class Events:
         """(n,) whether a sample is clipped, and whether it was replaced."""
 
     def section(self, index: int) -> tuple[int, int]:
-        """Return first sample and last + 1 of the section from the event or gap before an event to that after it.
+        """Return first sample and last + 1 of the section between the events, or gaps, before and after an event.
 
         Raises Unusable if the section has no rest before the event.
         """
@@ -120,7 +120,7 @@ class Events:
     def speed(self, index: int, onset_s: float) -> float:
         """Return the approach speed, m/s: from the file, else from the position before the onset.
 
-        Raises Unusable if the position does not determine it.
+        Raises Unusable if the position does not determine a speed.
         """
         if self.speeds is not None:
             return float(self.speeds[index])
@@ -179,7 +179,7 @@ def _checked(recording: Recording) -> Floats:
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
     """Return gravity and drift (n,): medians over blocks of 50 ms, interpolated linearly.
 
-    For a short recording that begins at rest it is the median of that rest, because slow ringing shifts other medians.
+    For a short recording that begins at rest, return the median of that rest: slow ringing would shift those of blocks.
     """
     if len(acceleration) < TAP_LIMITS.short_recording_s * rate_hz:
         off = np.abs(acceleration - acceleration[0])
@@ -236,7 +236,7 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
 
 
 def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
-    """Return the speeds of the taps, m/s, or None if the recording has one for all, or none."""
+    """Return the speed of each tap, m/s, or None if the recording has a single speed, or none."""
     speed = recording.speed_m_per_s
     if not isinstance(speed, np.ndarray):
         return None
@@ -268,8 +268,9 @@ def _without_bounces(recording: Recording, events: Sequence[Event]) -> list[Even
 def _has_approach(recording: Recording, touched: int, before: int, first: int) -> bool:
     """Return whether the position before sample `first` shows a separate approach, not the end of a bounce.
 
-    An approach begins in front of the surface, whose position is that at sample `touched`. Its speed changes less than
-    half as fast as in a bounce, which leaves the surface at sample `before` and is pushed back steadily to this speed.
+    An approach begins in front of the surface, which is at the position of sample `touched`. Its speed changes less
+    than half as fast as in a bounce that leaves the surface at sample `before` and is steadily pushed back to this
+    speed.
     """
     if recording.speed_m_per_s is not None or recording.position_m is None:
         return False
@@ -479,7 +480,7 @@ def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing,
 
 
 def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None:
-    """Return the reason why these modes cannot be those of a tap, or None."""
+    """Return the reason why the modes of `ringing` cannot be those of a tap, or None."""
     for angular in ringing.angular_frequency_rad_per_s:
         if slow := preparation.undersampled(rate_hz, float(angular) / (2 * math.pi), TAP_LIMITS.min_samples_per_cycle):
             return Unusable(f"it {slow}", "rate")
@@ -524,12 +525,12 @@ def _uncertainty(ringing: Ringing) -> tuple[float, str]:
 
 @dataclass(frozen=True, slots=True)
 class SecondMode:
-    """A mode that is struck together with the first mode, and the first mode in the fit of both."""
+    """A second mode, struck together with the first, and the values of the first mode in the fit of both."""
 
     frequency_hz: Estimate
     decay_time_s: Estimate
     ratio: Estimate
-    """Its coefficient divided by that of the first mode."""
+    """The second mode's coefficient divided by that of the first."""
     first_slope_per_s: Estimate
     """Slope of the first mode's coefficient with speed."""
     first_frequency_hz: Estimate
@@ -537,7 +538,7 @@ class SecondMode:
     amplitudes: Amplitudes
     """Amplitudes of the first mode, in the form of TapFit.amplitudes."""
     variance_accounted_for: float
-    """Fraction of the variance that both explain, median over the taps."""
+    """Fraction of the variance that both modes explain, median over the taps."""
     alone: float
     """Fraction of the variance that one mode explains, median over the taps."""
     kept: bool
@@ -568,9 +569,9 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
 
 
 def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
-    """Return the taps with the louder of their two modes, and the second mode, if most have the same two modes.
+    """Return the taps with the louder of their two modes, and the second mode, if most taps have the same two modes.
 
-    This is tried if one mode explains too little of the median tap. Otherwise return the taps for which one mode is
+    Two modes are tried if one explains too little of the median tap. Otherwise return the taps for which one mode is
     enough, and None.
     """
     alone = float(np.median([tap.variance_accounted_for for tap in taps])) if taps else 1.0
@@ -657,7 +658,7 @@ def _usual_pair(pairs: Sequence[Ringing]) -> Floats | None:
 
 
 def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
-    """Return the pair with its modes in the order of these log angular frequencies, or None if they differ."""
+    """Return the pair with its modes in the order of `usual`, log angular frequencies; None if its modes are others."""
     for order in ([0, 1], [1, 0]):
         if np.all(
             np.abs(np.log(pair.angular_frequency_rad_per_s[order]) - usual) < TAP_LIMITS.max_frequency_difference
@@ -719,14 +720,14 @@ WithVariances: TypeAlias = tuple[Floats, Floats]
 
 
 def _noise_of(taps: Sequence[TapHit]) -> Floats:
-    """Return (n,) variances of the noise; values within a factor of 1.5 of the median are replaced by the median."""
+    """Return the noise variances (n,) of taps, from the median of the noise for taps within a factor 1.5 of it."""
     found = np.array([tap.noise_m_per_s2 for tap in taps])
     usual = float(np.median(found))
     return np.where((found < 1.5 * usual) & (usual < 1.5 * found), usual, found) ** 2
 
 
 def _smoothed(variances: Floats, scale: Floats) -> Floats:
-    """Return `scale` times the median ratio of variances to `scale`, because single variances vary by chance."""
+    """Return variances proportional to `scale`, with the median ratio: the given ones vary by chance."""
     return np.asarray(scale * np.median(variances / scale), dtype=np.float64)
 
 
@@ -739,7 +740,7 @@ def _time(log_decay: float) -> float:
 
 
 def _peak_variance(ringing: Ringing) -> float:
-    """Return the variance of the first peak A p(B, w), to first order."""
+    """Return the variance of the first peak A p(B, w), by linear error propagation; p is the peak for A = 1."""
     values = np.array([ringing.coefficients[0], ringing.decay_rate_per_s[0], ringing.angular_frequency_rad_per_s[0]])
 
     def peak(at: Floats) -> float:
@@ -820,8 +821,8 @@ class Modes:
 def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -> Modes | None:
     """Return the table of modes versus speed, or None if frequency and decay time do not change.
 
-    Either changes if it differs significantly between the slowest and the fastest tap, and by 2 % (frequency) or 10 %
-    (decay time). One that does not change has the mean of all taps at every speed.
+    Frequency or decay time changes if it differs significantly between the slowest and the fastest tap, and by 2 % or
+    10 %, respectively. The one that does not change has the mean of all taps at every speed.
     """
     speeds, (angulars, of_angular), (decays, of_decay) = figures.speeds, figures.angular, figures.decay
     moved = (
@@ -1161,7 +1162,7 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
 
 
 def _modes_over_speed(warnings: Warnings, figures: Figures, frequency: Estimate, decay_time: Estimate) -> Modes | None:
-    """Return the table of modes versus speed, or None; downgrade the verdict if frequency or decay scatters."""
+    """Return any table of modes versus speed, or None; downgrade the verdict if frequency or decay time scatters."""
     modes = modes_of(figures, frequency, decay_time)
     if modes is None:
         warnings.check_interval("decay time", decay_time)

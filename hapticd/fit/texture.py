@@ -1,9 +1,9 @@
 """Fit of textures to recorded strokes: peak and mean frequency, and loudness as a function of speed and force.
 
-Strokes are cut into blocks of half a second, each with its periodograms, speed and force. The density of the sensor's
-noise is measured near half the rate and subtracted. Below TEXTURE_LIMITS.min_frequency_hz, where a hand trembles, the
-density is assumed to be that just above. Where it falls below the sensor's noise, it is assumed to fall as in the
-octave before.
+Strokes are cut into blocks of half a second, each with its periodograms, speed and force. The density (power spectral
+density) of the sensor's noise is measured near half the rate and subtracted. Below TEXTURE_LIMITS.min_frequency_hz,
+where a hand trembles, the density is assumed to be that just above. Where the density falls below the sensor's noise,
+it is assumed to fall as in the octave before.
 
 The mean frequency is the centroid of the power. The peak is that of a single resonance: a parabola is fitted to
 1/density versus squared frequency in the half-power band, by Whittle's likelihood. Intervals are jackknifed over groups
@@ -11,16 +11,16 @@ of blocks, or over strokes if these differ more than their blocks do by chance. 
 the highest density has another peak, the spectrum is not a single resonance, and the interval includes both.
 
 A peak is resolved if the density is lower on both sides. If the density at TEXTURE_LIMITS.min_frequency_hz is as high,
-the peak may be anywhere below. Then the interval begins at 0. It ends at the larger of two frequencies: the end of the
-parabola's interval, limited to the half-power band, and the 97.5 % quantile of the frequency of the highest density
-over bootstrap samples of the groups (Efron, 1979).
+the peak may be anywhere below. Then the peak's interval begins at 0, and ends at the larger of two frequencies: the end
+of the parabola's interval, limited to the half-power band, and the 97.5 % quantile of the frequency of the highest
+density over bootstrap samples of the groups (Efron, 1979).
 
 The law of the RMS is fitted to the power of the blocks, with errors proportional to the power (quasi-likelihood of a
 gamma distribution; Wedderburn, 1974).
 
-An autoregressive model is made for each pair of speed and force, if requested. It comes from the autocorrelation of the
-mean spectrum (Levinson and Durbin), which makes it stable for any spectrum. Its order is that with the lowest corrected
-information criterion of Akaike (Hurvich and Tsai, 1989).
+If requested, an autoregressive model is made for each pair of speed and force, from the autocorrelation of the mean
+spectrum (Levinson and Durbin), so that it is stable for any spectrum. Its order has the lowest corrected information
+criterion of Akaike (Hurvich and Tsai, 1989).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def _frequencies(rate_hz: float) -> Floats:
 
 
 def _blocks_of(stroke: Stroke, usual_hz: float, warnings: Warnings) -> StrokeBlocks:
-    """Return a recording cut into blocks; raise FitError if its rate differs from the others or it is not a texture."""
+    """Return a recording cut into blocks; raise FitError if its rate is not `usual_hz`, or if it is not a texture."""
     from scipy.signal import periodogram
 
     name, rate_hz = stroke.recording.name, stroke.recording.rate_hz
@@ -112,10 +112,10 @@ def _blocks_of(stroke: Stroke, usual_hz: float, warnings: Warnings) -> StrokeBlo
 
 
 def _without_sensor_noise(name: str, frequency: Floats, density: Floats, rate_hz: float) -> tuple[Floats, float]:
-    """Return the density minus that of the sensor's noise, and that of the noise.
+    """Return the density minus that of the sensor's noise, and the density of the noise.
 
-    Raises FitError if the spectrum does not end below half the rate: if its mean between 0.4 and 0.49 of the rate is
-    more than a twentieth of its highest value.
+    Raises FitError if the spectrum does not end below half the rate, that is, if its mean between 0.4 and 0.49 of the
+    rate is more than a twentieth of its highest value.
     """
     noise_band = (frequency > 0.4 * rate_hz) & (frequency < 0.49 * rate_hz)
     floor = float(np.mean(density[:, noise_band]))
@@ -327,13 +327,13 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
 
 
 def _groups_of(blocks: int) -> list[Ints]:
-    """Return groups of consecutive blocks, by their indices."""
+    """Return groups of consecutive blocks, each as the indices of its blocks."""
     edges = np.linspace(0, blocks, min(TEXTURE_LIMITS.jackknife_groups, blocks) + 1).round().astype(np.int64)
     return [np.arange(low, high) for low, high in pairwise(edges)]
 
 
 def _left_out(figure: Callable[[Floats], float], shape: Floats, groups: Sequence[Ints]) -> tuple[float, int]:
-    """Return jackknife standard error and degrees of freedom.
+    """Return jackknife standard error and degrees of freedom of `figure`, with each of the groups left out in turn.
 
     Groups of different sizes have equal weights; the weights of Busing et al. (1999) change little.
     """
@@ -424,7 +424,7 @@ def _highest_resampled(frequency: Floats, shape: Floats) -> float:
 def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> float:
     """Return the RMS difference, dB, of two densities (n,) where the second is within 20 dB of its peak.
 
-    They are compared in bands of a twelfth of an octave, because a periodogram scatters.
+    The densities are compared in bands of a twelfth of an octave, because a periodogram scatters.
     """
     smooth = smoothed(power, 2)
     loud = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & (smooth > 0.01 * smooth.max())
@@ -460,7 +460,7 @@ def _law(moments: Floats, rms: Floats, warnings: Warnings) -> tuple[Floats, Gain
     """Fit the law by quasi-likelihood; return predicted RMS (blocks,), gains and correlation.
 
     The mean power of a block is g' M g, with the gains g and the block's moments M. Its derivative 2 M g, divided by
-    the power, gives the columns of the least squares.
+    the power, gives the block's row in the least squares.
     """
     squares = moments[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     gains = np.linalg.lstsq(np.sqrt(moments[:, [0, 2]]) / rms[:, None], np.ones(len(rms)), rcond=None)[0]
@@ -507,7 +507,7 @@ class ArModel:
 
 
 def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
-    """Return the rate of the models, an integer of Hz: 99.5 % of the power lies below 0.4 of it.
+    """Return the rate of the models, an integer of Hz: 99.5 % of the power lies below 0.4 of this rate.
 
     It is at most the rate of the recordings.
     """
@@ -589,17 +589,17 @@ class TextureFit(Fit):
 
     peak_hz: Estimate
     peak_resolved: bool
-    """If false, the interval begins at 0 and the peak is a guess."""
+    """Whether the peak is resolved. If not, its interval begins at 0 and its value is a guess."""
     mean_hz: Estimate
     velocity_gain_per_s: Estimate | None
-    """None, like the force gain, if speed and force do not vary independently; then there is a warning."""
+    """None, like the force gain, if speed and force do not vary independently; a warning then says so."""
     force_gain_m_per_s2_per_n: Estimate | None
     correlation: float
     mean_per_speed_hz_s_per_m: Estimate | None
     mean_per_force_hz_per_n: Estimate | None
     ar_rate_hz: float | None
     ar_models: tuple[ArModel, ...]
-    """Empty unless they were requested."""
+    """The autoregressive models; empty unless they were requested."""
     blocks: tuple[Block, ...]
 
     def material(self) -> dict[str, object]:

@@ -1,8 +1,8 @@
 """Verdict on a fit (good, fair or poor, with reasons), and the recordings and events that were left out.
 
-A fit collects warnings, and reasons against itself, in `Warnings`. Without a reason it is good. With a reason it is
-fair, or poor if its results should not be used. LOWER_LIMITS and UPPER_LIMITS are the rules for single values;
-`make docs-tables` copies them to docs/fit.md.
+A fit collects warnings, and reasons against itself, in `Warnings`. Without a reason the fit is good. With a reason it
+is fair, or poor if its results should not be used. LOWER_LIMITS and UPPER_LIMITS are the rules for single values;
+`make docs-tables` copies these rules to docs/fit.md.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from hapticd.fit.recording import Recording
 _T = TypeVar("_T")
 Quality: TypeAlias = Literal["good", "fair", "poor"]
 WHOLE_RECORDING: Final = "recording"
-"""Value of Exclusion.what for a complete recording."""
+"""Value of Exclusion.what if a complete recording was not used."""
 ONE_PART: Final = "part"
-"""Value of Exclusion.what for a part of a recording."""
+"""Value of Exclusion.what if a part of a recording was not used."""
 
 
 class Rule(NamedTuple):
@@ -129,7 +129,7 @@ class Warnings:
     poor: bool = False
 
     def add(self, poor: bool, reason: str, more: str = "") -> None:
-        """Add a reason against the fit, unless it is empty; with `more`, add the warning `reason; more`, too."""
+        """Add a reason against the fit, unless `reason` is empty; with `more`, add the warning `reason; more`, too."""
         if not reason:
             return
         self.poor |= poor
@@ -138,7 +138,7 @@ class Warnings:
             self.lines.append(f"{reason}; {more}")
 
     def add_fair(self, line: str) -> None:
-        """Add a warning that is also a reason, with which the fit is at best fair."""
+        """Add a warning that is also a reason against the fit, which is then at best fair."""
         self.add(False, line)
         self.lines.append(line)
 
@@ -180,8 +180,8 @@ class Warnings:
     def check_gain(self, what: str, gain: Estimate, usual: float, loudness: float) -> None:
         """Downgrade the verdict if the gain of a law may be 0 or is uncertain.
 
-        It is uncertain if half of its interval, times the `usual` speed or force, is too large a fraction of the usual
-        loudness.
+        The gain is uncertain if half of its interval, times the `usual` speed or force, is too large a fraction of the
+        usual loudness.
         """
         if gain.low <= 0:
             self.add_fair(f"the {what} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
@@ -253,9 +253,9 @@ class Exclusions:
         self.unused |= other.unused
 
     def each(self, recordings: Iterable[Recording], fitted: Callable[[Recording], _T]) -> list[_T]:
-        """Return `fitted(recording)` of each recording; one for which it raises FitError is left out with its reason.
+        """Return `fitted(recording)` of each recording; leave out those for which it raises FitError, with the reason.
 
-        UnitError and StrictError are passed on: a wrong unit in one recording is wrong in all.
+        UnitError and StrictError are passed on: a unit that is wrong in one recording is wrong in all.
         """
         found = []
         for recording in recordings:

@@ -37,7 +37,7 @@ from hapticd.fit.verdict import Exclusions, Warnings
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """The section of a recording that contains one contact, and its approximate onset."""
+    """The section of a recording that contains one contact, and the contact's approximate onset."""
 
     recording: str
     begin_s: float
@@ -147,7 +147,7 @@ class FittedPulse:
 
 
 class Equations:
-    """Normal equations of the samples 1 .. count - 2 of a shape, separately for each pulse."""
+    """Normal equations for the samples 1 .. count - 2 of a shape, separately for each pulse."""
 
     def __init__(self, pulses: Sequence[Pulse], fitted: Sequence[FittedPulse], rate_hz: float, count: int) -> None:
         from scipy.sparse import csr_array
@@ -200,7 +200,7 @@ class Equations:
 def _fit_pulse(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> FittedPulse:
     """Return the pulse fitted by this shape, its onset searched up to `reach_s` from `near_s`.
 
-    The best of nine onsets is taken four times; each time the range is a quarter of the one before.
+    The best of nine onsets in a range is taken four times; each time the range is a quarter of the previous one.
     """
     best: FittedPulse | None = None
     middle_s = near_s
@@ -276,7 +276,7 @@ class Shape:
         return Equations(self.pulses, self.fitted, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
-        """Return the fractions (n,) of each pulse's variance that the others explain, with and without noise."""
+        """Return the fractions (n,) of each pulse's variance, with and without noise, that the others explain."""
         equations = self.equations
         shares = []
         for index, (pulse, where) in enumerate(zip(self.pulses, self.fitted, strict=True)):
@@ -378,10 +378,10 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
 def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     """Return half the 95 % intervals of the samples (count,), and of a common factor of all amplitudes.
 
-    Each adds two errors in quadrature. The first is a jackknife over the pulses, or over 16 groups of them, with all
-    onsets fitted again. The second is that of the interpolation, from the change in a fit with twice as many samples:
-    for a sample the RMS change up to half a sample from it; for the amplitudes their change and the RMS change of the
-    curve, because the error of a peak between samples is at least that of the curve.
+    Each adds two errors in quadrature. The first is that of a jackknife over the pulses, or over 16 groups of pulses,
+    with all onsets fitted again. The second is that of the interpolation, from the change in a fit with twice as many
+    samples: for a sample the RMS change up to half a sample from it; for the amplitudes their change and the RMS change
+    of the curve, because the error of a peak between samples is at least that of the curve.
     """
     count, groups = len(shape.samples), min(len(shape.pulses), WAVEFORM_LIMITS.max_groups)
     samples, sizes = [], []
@@ -416,7 +416,7 @@ def _widened(estimate: Estimate, fraction: float) -> Estimate:
 
 
 def _ratio(found: Sequence[FittedPulse], before: Sequence[FittedPulse]) -> float:
-    """Return the ratio of the amplitudes to those before, by least squares."""
+    """Return the ratio of the amplitudes `found` to the amplitudes `before`, by least squares."""
     old = np.array([each.amplitude for each in before])
     return float(old @ np.array([each.amplitude for each in found]) / (old @ old))
 
@@ -462,7 +462,7 @@ class WaveformFit(Fit):
     r_squared: float
     """r^2 of A(v) as a line through the origin."""
     variance_accounted_for: float
-    """Median over the taps, each explained by a waveform that was fitted without it."""
+    """Fraction of a tap's variance that a waveform fitted without this tap explains, median over the taps."""
 
     @property
     def curve(self) -> Curve:
@@ -561,7 +561,7 @@ def _alike(
 ) -> tuple[Sequence[Pulse], Shape, bool, Floats]:
     """Return the pulses that have a common shape, the shape, whether it is faded out, and the variance it explains.
 
-    The variance (n,) of a pulse is that explained by the shape of the others. Other pulses are added to `excluded`.
+    A pulse's explained variance (n,) is that by the shape of the others. Pulses of other shape are added to `excluded`.
     """
     if len(pulses) < WAVEFORM_LIMITS.min_pulses:
         reasons = [*excluded.lines(), *earlier]

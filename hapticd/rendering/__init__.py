@@ -1,34 +1,34 @@
-"""Rendering: from configuration to the tables of a tick, with filters, compensation and stability; offline rendering.
+"""Rendering: compile a configuration to the table that the servo's tick reads, judge its display, render offline.
 
 Compiling:
 
     compiler/           scene and materials become the flat C records that a tick reads
     compensation        forces of a strike that make handle and hand accelerate as the material says
     filter_design       filters for coloured noise
-    resampling          textures identified at one rate, as models for the servo's
+    resampling          textures identified at one rate, as models for the servo's rate
     device_output       properties of the device for rendering: how forces reach it, and the closed loop around it
     joystick            the simulated joystick and its operator as C objects
 
 What can be displayed:
 
-    displayability      vibrations that are muted, lowered, refused or displayed with a deviation
+    displayability      which vibrations are muted, lowered, refused or displayed with a deviation
     undisplayable_text  a vibration that the rate cannot carry, and the text that reports it; fast to import
     lagging_modes       modes for which the actuator is too slow
     end_state           how a simulated motion ends: at rest, or in a cycle
     driven_hand         whether a texture keeps a light hand moving
-    displayed_error     error of the handle's acceleration
+    displayed_error     error of the handle's acceleration relative to the mode
     rearm               how far the probe must withdraw before it can tap a surface again
 
 Stability:
 
     scene_stability     the reported stability of a scene
-    contact_sets        which surfaces can be touched together, and how stable each set is
-    stability           whether the loop of tick, device and hand is stable: margins of stiffness
-    stability_remedy    stiffnesses to lower so that a set is safe
+    contact_sets        which surfaces can be touched together, and how stable each such set is
+    stability           whether the loop of tick, device and hand is stable, and by how much stiffness may grow
+    stability_remedy    stiffnesses to lower so that a contact set is safe
     stability_text      the report on a scene's stability in words
     surface_table       the part of a compiled table that the analysis reads
     surface_properties  upper bounds of the stiffness, damping and noise of surfaces
-    surface_margins     the margin of each surface alone, in microseconds
+    surface_margins     the margin of each surface alone, computed in microseconds
     disc_stiffness      stiffness of a disc along its radius and around it
 
 Without a daemon:
@@ -45,7 +45,7 @@ Questions, and where to begin:
     Why is a mode silent, or lower than it should be?
         displayability (displayed_mode) decides; undisplayable() lists the result.
     Why is a scene called unsafe?
-        contact_sets (margins) gives the verdict of each set, by the limits and eigenvalues of stability.
+        contact_sets (margins) gives the verdict on each set, by the limits and eigenvalues of stability.
     What is rendered offline, and how does it differ from the daemon?
         offline (render_run): the same tick, with time from 0 and without overruns.
 """

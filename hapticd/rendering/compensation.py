@@ -4,8 +4,8 @@ A force F_k, held from tick k to the next, accelerates the device (m + m_h) x'' 
 
     X(s) = s^2 / ((m + m_h) s^2 + (b + b_h) s + k) * (1 - exp(-s T))/s * sum_k F_k exp(-s k T),      s = 2 pi i f.
 
-The target is the spectrum of exp(-B t) sin(w t), w / ((s + B)^2 + w^2). The part of it at the pole p = -B + i w is
-displayed with the right amplitude and phase if F_k = Im(C exp(p k T)),
+The target is the spectrum of exp(-B t) sin(w t), w / ((s + B)^2 + w^2). Its part at the pole p = -B + i w is displayed
+with the right amplitude and phase if F_k = Im(C exp(p k T)),
 
     C = ((m + m_h) + (b + b_h)/p + k/p^2) * p T / (1 - exp(-p T)).
 
@@ -67,7 +67,7 @@ class Load:
     stiffness_n_per_m: float = 0.0
     damping_n_s_per_m: float = 0.0
     age_s: float = 0.0
-    """Time from the measurement of a position until the surface force computed from it acts."""
+    """Time from the measurement of a position until the surface's force for that position acts."""
     actuator: Actuator | None = None
 
     @property
@@ -122,7 +122,7 @@ class Shape:
     limited: bool
     """Whether the force was scaled down because its peak exceeded MAX_STRIKE_FORCE_RATIO."""
     kicks: tuple[tuple[float, float], ...] = ()
-    """For each of the first samples (c, d): c + d x is added to it if the onset is x periods before the first one."""
+    """Pair (c, d) for each of the first samples: c + d x is added to it if the onset is x periods before the first."""
 
 
 def pole_of(mode: Mode) -> complex:
@@ -197,7 +197,7 @@ class _Grid:
         return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
 
     def count(self, pole: complex, onset: float) -> int:
-        """Return the number of ticks within five time constants of an onset `onset` periods before the first tick."""
+        """Return the number of ticks in five time constants after an onset `onset` periods before the first tick."""
         first_s = onset * self.period_s
         return math.floor((_MODE_TIME_CONSTANTS / -pole.real - first_s) / self.period_s + 1e-9) + 1
 
@@ -227,8 +227,8 @@ def _grid(mode: Mode, rate_hz: float) -> _Grid:
 class _Band:
     """Acceleration of one device for a struck mode and possible tails, with the first tick as time 0.
 
-    All weighted spectra lie in a space of few dimensions. Vectors are coordinates in an orthonormal basis of it, which
-    preserves norms and least squares. Onsets differ only in the target spectrum and in the number of ticks.
+    All weighted spectra lie in a space of few dimensions. Accelerations are vectors of coordinates in an orthonormal
+    basis of that space, which preserves norms and least squares. Onsets differ only in target and number of ticks.
     """
 
     def __init__(
@@ -279,7 +279,7 @@ class _Band:
         return found
 
     def error(self, columns: list[_Floats], gains: _Floats, onset: float = 0.0) -> float:
-        """Return the displayed error of `gains`, the real and imaginary part for each pole in turn."""
+        """Return the displayed error with `gains`, the real and imaginary part of each pole's gain in turn."""
         return float(np.linalg.norm(gains @ np.array(columns) - self.target(onset))) / self._grid.target_norm
 
     def shape(self, poles: Sequence[complex], gains: _Floats) -> Shape:
@@ -306,16 +306,16 @@ class _Band:
         return self.alone(hold_gain(self._pole, self._grid.period_s) / lag)
 
     def by_pole_gain(self) -> Shape:
-        """Return the shape of the mode's pole alone, with the gain C."""
+        """Return the shape of the mode's pole alone, with the gain C/(m + m_h)."""
         mode, dynamics, load = self._made_for
         return self.alone(pole_gain(mode, dynamics, self._grid.period_s, load))
 
     def plain(self) -> Shape:
-        """Return the shape of the mode's pole alone that has the smaller error: by hold gain or by pole gain."""
+        """Return the shape by hold gain or by pole gain, whichever has the smaller error."""
         return min(self.by_hold_gain(), self.by_pole_gain(), key=lambda shape: shape.error)
 
     def with_tail(self, tail: complex) -> Shape:
-        """Return the shape of the mode and this tail, with gains found together by least squares."""
+        """Return the shape of the mode's pole and this tail's pole, with both gains from one least-squares fit."""
         poles = [self._pole, tail]
         gains = np.linalg.lstsq(np.array(self.columns(poles)).T, self.target(), rcond=None)[0]
         return self.shape(poles, np.asarray(gains, np.float64))
@@ -323,7 +323,7 @@ class _Band:
     def with_kicks(self, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
         """Return the shape of mode, tail and kicks, and its displayed error, RMS over _ONSET_FRACTIONS.
 
-        All gains are fitted together by least squares over these onsets; if `kicks` is given, mode and tail only.
+        One least-squares fit over these onsets gives the gains of all three; if `kicks` are given, of mode and tail.
         """
         poles = [self._pole, tail]
         decays = [np.array(self.columns(poles, onset)).T for onset in _ONSET_FRACTIONS]
@@ -359,7 +359,7 @@ def _root_mean_square(errors: list[float]) -> float:
 
 
 def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
-    """Return an upper bound of the magnitude over all times, and the time at which it is nearly reached.
+    """Return an upper bound of the force's magnitude over all times, and the time at which it is nearly reached.
 
     Between two samples at a distance h, a function exceeds the larger sample by at most h^2/8 times its curvature.
     """
@@ -382,7 +382,7 @@ def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
 def _tails(mode: Mode, rate_hz: float) -> list[complex]:
     """Return the poles of the tails to try.
 
-    The slow one is for the transient of the hand's spring and damper, the fast one for that of the first held samples.
+    A slow tail compensates the transient of the hand's spring and damper, a fast one that of the first held samples.
     """
     slow = _MODE_TIME_CONSTANTS / (_MODE_TIME_CONSTANTS / mode.decay_rate_per_s + MAX_TAIL_EXTENSION_S)
     highest = 2 * math.pi * ERROR_BAND_RATE_FRACTION * rate_hz
@@ -397,7 +397,7 @@ def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, lo
 def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NO_LOAD) -> complex:
     """Return the complex fraction of the mode that the handle's acceleration contains in the band; 1 is all of it.
 
-    `shape` begins at a tick.
+    The force of `shape` begins at a tick.
     """
     grid = _grid(mode, rate_hz)
     struck = np.zeros_like(grid.target)
@@ -445,8 +445,8 @@ def shapes_of(
 ) -> tuple[Shape, Shape]:
     """Return the shapes of a strike without a surface and against the surface of `load`, with the same poles.
 
-    The poles are those that are best against the surface if `best_in_contact`, otherwise those that are best without
-    one. C is linear in the stiffness of the surface, so the core interpolates linearly between the two shapes.
+    With `best_in_contact`, the poles are those with the smallest error against the surface, otherwise without it. C is
+    linear in the surface's stiffness, so the core interpolates linearly between the two shapes.
     """
     if compensation == "mass" or load == load.free:
         chosen = shape_of(mode, dynamics, rate_hz, compensation, load)
@@ -474,7 +474,7 @@ def tuned_shapes(
 ) -> list[tuple[Shape, Shape]]:
     """Return shapes_of for each of `modes`, which change gradually from one to the next.
 
-    All share the pole of one tail, or none has a tail; none has kicks.
+    All shapes have the same pole of the tail, or none has a tail; none has kicks.
     """
     if compensation == "mass":
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]

@@ -39,7 +39,7 @@ MAX_COMPARED_PAIRS: Final = 500_000
 MAX_COMPARED_TRIPLES: Final = 2_000_000
 """Above this number of triples all surfaces form one contact set."""
 MAX_SEARCHED_SETS: Final = 400
-"""Number of sets, the worst first, that are searched for distinct ones."""
+"""Number of sets, the worst first, among which distinct ones are searched."""
 MAX_REPORTED_SETS: Final = 20
 """Number of sets that are reported one by one."""
 MAX_STABILITY_LINES: Final = 5
@@ -194,7 +194,7 @@ def _largest_eigenvalue(rows: Floats) -> Floats:
 
 
 _SlotsOfSet: TypeAlias = Callable[[int], tuple[int, ...]]
-"""Returns the slots of the set with a number from 0, in ascending order."""
+"""Function that returns the slots of a set, in ascending order, given the set's number from 0."""
 
 
 def _sets_of(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _SlotsOfSet]:
@@ -214,9 +214,9 @@ def _sets_of(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _Slo
 
 
 def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _SlotsOfSet] | None:
-    """Return the sets of pairs and single surfaces as `_sets_of` does; None: more than MAX_COMPARED_TRIPLES.
+    """Return the sets of pairs and of single surfaces as `_sets_of` does, or None above MAX_COMPARED_TRIPLES.
 
-    The set of a pair that meets contains all surfaces that meet both.
+    The set of a pair that meets contains the pair and all surfaces that meet both.
     """
     starts, others = _neighbours(len(rows), a, b)
     degree = np.diff(starts)
@@ -300,18 +300,18 @@ class ContactSets:
         return self._members(number)
 
     def matrices(self, number: int) -> tuple[Floats, Floats]:
-        """Return stiffness and damping of a set, (2, 2) each, as spectral_radius takes them."""
+        """Return the stiffness and damping matrices of a set, (2, 2) each, for spectral_radius."""
         row = self._sums[number : number + 1]
         return _matrices(row[:, :3])[0], _matrices(row[:, 3:6])[0]
 
     def factors(self, number: int) -> dict[Limit, float]:
-        """Return the factor by which the stiffness of a set may grow, for each condition."""
+        """Return the factor by which the stiffness of a set may grow, for each condition of stability."""
         return {"passivity": float(self._passivity_factor[number]), "quantisation": float(self._noise_factor[number])}
 
     def worst(self, most: int, *, unsafe: bool) -> list[tuple[tuple[int, ...], int]]:
         """Return slots and number of up to `most` distinct sets, those nearest to their limits first.
 
-        They are sorted by margin without damping, margin, and stiffness. `unsafe` omits sets that are proved safe.
+        The sets are sorted by margin without damping, margin, and stiffness. `unsafe` omits sets proved safe.
         """
         order = np.lexsort((-self.stiffness_n_per_m, self.factor, self._undamped_factor))
         if unsafe:
@@ -324,7 +324,7 @@ class ContactSets:
         return list(found.items())
 
     def margins(self, chosen: Sequence[tuple[tuple[str, ...], int]]) -> list[Margin]:
-        """Return the margins of sets, given as names of objects and number of the set."""
+        """Return the margins of the chosen sets, each given by the names of its objects and its number."""
         if not chosen:
             return []
         numbers = [number for _, number in chosen]

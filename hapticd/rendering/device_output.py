@@ -31,7 +31,7 @@ class Output:
     rearm_m: float = 0.0
     """Distance to which the probe must withdraw from a surface before it can tap it again."""
     age_s: float = 0.0
-    """Time from a position to the moment at which the force computed from it acts; 0 if unknown."""
+    """Time from the measurement of a position until its force acts; 0 if unknown."""
     actuator: Actuator | None = None
     """Lag of the actuator; None: unknown."""
 
@@ -44,7 +44,7 @@ class Output:
 def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
     """Return the output properties of a configuration's device at a rate.
 
-    `link_rate_hz` is the number of forces per second that the device takes. The simulated joystick uses its own link.
+    `link_rate_hz` is the number of forces per second that the device takes; the simulated joystick has its own link.
     """
     device = config.device
     if device.kind == "sim" and device.sim.link is not None:

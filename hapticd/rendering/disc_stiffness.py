@@ -1,11 +1,11 @@
 """Upper bounds of a disc's radial and tangential stiffness, down to the depth of a firm press.
 
-The proxy moves R/r as far as a probe at radius r, and friction and grooves fade out towards the centre
+The proxy on the rim moves R/r as far as a probe at radius r, and friction and grooves fade out towards the centre
 (docs/adr/0027). With friction or shaped grooves, the second derivatives, in polar coordinates, of
 
     K/2 (R - r - g H(s))^2 + g k/2 (s - anchor)^2
 
-give the stiffness. Without either it never exceeds K.
+give the stiffness. Without friction and shaped grooves it never exceeds K.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Which vibrations of a scene a device and rate can display, and how the others are displayed.
 
-A vibration that the rate cannot carry is muted or lowered in frequency. `displayed_mode`, `displayed_wave_rate` and
-`displayed_pair` decide how. Three functions report: `undisplayable` vibrations that are muted or lowered; `rate_faults`
-those that are refused; `warnings` those that are displayed with a deviation. Places are those of a configuration file:
-`materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
+A vibration that the rate cannot carry is muted or lowered in frequency, as `displayed_mode`, `displayed_wave_rate` and
+`displayed_pair` decide. Three functions report: `undisplayable` the vibrations that are muted or lowered; `rate_faults`
+those that are refused; `warnings` those that are displayed with a deviation. A report gives the place of a vibration in
+the configuration file: `materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
 """
 
 import math
@@ -33,7 +33,7 @@ DISPLAYABLE_RATE_FRACTION: Final = 0.4
 DEFAULT_SURFACE_N_PER_M: Final = 800.0
 """Surface stiffness for which modes without a surface are compensated, typical of the shipped materials."""
 MIN_NORMAL_STIFFNESS_PART: Final = 0.5
-"""If at least this fraction of the surface's stiffness acts along a strike, it is compensated best in contact."""
+"""If at least this fraction of the surface's stiffness acts along a strike, compensation is for contact with it."""
 FAST_STROKE_M_PER_S: Final = 0.5
 """Speed of a fast stroke, at which a groove's shape should last at least two ticks."""
 MAX_POWER_LOSS: Final = 0.01
@@ -111,8 +111,8 @@ def touched_by(material: Material, use: Use) -> Touched:
 def struck_shapes(mode: Mode, output: Output, touched: Touched = NO_SURFACE) -> tuple[Shape, Shape] | None:
     """Return the shapes of a strike of a mode that the rate can carry: without a surface, and against `touched`.
 
-    The second is for a strike along the normal, with DEFAULT_SURFACE_N_PER_M if there is no surface. Returns None
-    without compensation.
+    The second shape is for a strike along the normal, with DEFAULT_SURFACE_N_PER_M if there is no surface. Returns
+    None without compensation.
     """
     if output.compensation == "off":
         return None
@@ -141,7 +141,8 @@ def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
     """Return the peak and mean (Hz) for which the texture's filter is designed, or None if it is muted.
 
-    A peak above 0.4 of the rate is muted, or lowered to that together with the mean, by the same factor.
+    A texture with its peak above 0.4 of the rate is muted, or peak and mean are lowered by the factor that brings the
+    peak there.
     """
     highest = DISPLAYABLE_RATE_FRACTION * output.carried_hz
     if texture.peak_hz <= highest:
@@ -332,8 +333,8 @@ def _above_problem(above: float, output: Output) -> str:
 def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> list[list[float]]:
     """Return what each model loses at a rate, as three lists with an entry for each model.
 
-    They are the fraction of power cut off, the error of the spectrum in dB, and the fraction of power above 0.4 of the
-    link's rate, if that is the lower rate.
+    The lists hold the fraction of power cut off, the error of the spectrum in dB, and the fraction of power above 0.4
+    of the link's rate, if that is the lower rate.
     """
     shown = [resampled(reflection_of(model.coefficients), texture.rate_hz, rate_hz) for model in texture.models]
     limit_hz = DISPLAYABLE_RATE_FRACTION * carried_hz if carried_hz < rate_hz else math.inf
@@ -342,7 +343,7 @@ def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> list[
 
 
 def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output) -> Iterator[Problem]:
-    """Yield a warning for each kind of loss, for the model with the largest one (of equals the first)."""
+    """Yield a warning for each kind of loss, about the model with the largest loss (of equals the first)."""
     losses = _losses(texture, output.rate_hz, output.carried_hz)
     loss, error_db, above = map(max, losses)
     more = "" if len(texture.models) == 1 else ", more than any other model"
@@ -367,7 +368,7 @@ def patch_warnings(wall: Wall, root: Path) -> list[Problem]:
 
 
 def _narrow_patches(wall: Wall) -> Iterator[tuple[int, str]]:
-    """Yield index and problem of each patch that is narrower than the ramp, or nearer than it to another one."""
+    """Yield index and problem of each patch that is narrower than the ramp, or as near to another one."""
     patches, ramp_m = wall.patches, wall.patch_ramp_m
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None

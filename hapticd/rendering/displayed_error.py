@@ -1,12 +1,12 @@
 """Acceleration of the handle for a force that is held from tick to tick, and its error.
 
 The device is linear (hapticd.config.dynamics): (m + m_h) x'' + (b + b_h) x' + k x = F. Accelerations are means over
-the time between two samples. Those of a device are exact differences of its velocity, those of a mode the integral of
-its closed form.
+the time between two samples: of a device from exact differences of its velocity, of a mode from the integral of its
+closed form.
 
 The displayed error is the RMS of the difference from the target, divided by the RMS of the target, both limited to a
-band, 30 Hz to 0.4 of the rate. It begins at the onset. A delay of link or report shifts the force without changing its
-shape. A measurement therefore takes the time at which the force begins at the device as the onset.
+band, 30 Hz to 0.4 of the rate. Both signals begin at the onset. A delay of link or report shifts the force without
+changing its shape, so a measurement takes the time at which the force begins at the device as the onset.
 """
 
 from __future__ import annotations
@@ -96,11 +96,11 @@ def band_error(
 ) -> float:
     """Return RMS(measured - reference) / RMS(reference), both limited to low_hz to high_hz.
 
-    Both are (n,), in the same unit, and begin at the onset; they are 0 before and after. `high_hz` is 0.4 of the sample
-    rate by default. The band is cut in the spectrum: by Parseval's theorem the squares of its lines (band_lines) sum up
-    to the energy.
+    Both signals are (n,), in the same unit, begin at the onset, and are 0 before and after. `high_hz` is 0.4 of the
+    sample rate by default. The band is cut in the spectrum: by Parseval's theorem the squares of its lines (band_lines)
+    sum up to the energy.
 
-    Raises ValueError for arrays of other shapes, a band without lines, or a reference without energy in it.
+    Raises ValueError for arrays of other shapes, a band without lines, or a reference without energy in the band.
     """
     one, other = (np.asarray(each, dtype=np.float64) for each in (measured, reference))
     if one.ndim != 1 or one.shape != other.shape or not len(one):
@@ -115,7 +115,7 @@ def band_error(
 def waveform_error(waveform: Waveform, dynamics: Dynamics, rate_hz: float, effective_mass_kg: float) -> float:
     """Return the displayed error of a tap that plays a waveform and begins at a tick.
 
-    It is defined as in displayed_error, without compensation and without a lag of the actuator.
+    The error is that of displayed_error, without compensation and without a lag of the actuator.
     """
     ticks = math.ceil((waveform.length_s + _SETTLING_TIME_S) * rate_hz)
     force = effective_mass_kg * waveform.curve.at(np.arange(ticks) / rate_hz)

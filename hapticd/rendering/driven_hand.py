@@ -37,7 +37,7 @@ _MAX_SETTLING_S: Final = 20.0
 _OBSERVED_END_S: Final = 1.0
 """Time at the end of a run in which strikes and noise are counted."""
 _MAX_RESIDUAL_NOISE_PART: Final = 0.05
-"""Noise is sustained by the hand's motion if its force stays above this fraction of its largest."""
+"""The hand's motion sustains noise whose force at the end exceeds this fraction of its largest value."""
 
 
 def driven_hand_warnings(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:
@@ -87,7 +87,7 @@ def _is_noise_sustained(run: Run) -> bool:
 
 
 def _run(config: Config, loop: Loop, name: str, speed: float, press: float) -> Run:
-    """Simulate a stroke: the hand presses, moves along, stops, and settles before the last second."""
+    """Simulate a stroke: the hand presses, moves along the surface, stops, and settles before the last second."""
     hand = loop.dynamics
     stiffness = hand.grip_stiffness_n_per_m
     deep = min(_MAX_PRESS_DEPTH_M, press / stiffness + press / max(config.materials[name].stiffness_n_per_m, 1e-3))

@@ -47,10 +47,10 @@ class EndState:
 
 
 def end_state(advance: Callable[[float], npt.NDArray[np.float64]], longest_s: float = 640.0) -> EndState:
-    """Return the end of the motion that `advance` continues.
+    """Return how the motion that `advance` continues ends.
 
     `advance(duration_s)` returns position and velocity, (n, 4) in m and m/s, at the next ticks. The hand must have
-    stopped moving, and vibrations must be off. A handle that slides at a constant speed is at rest.
+    stopped moving, and vibrations must be off. A handle that slides at a constant speed counts as at rest.
 
     A cycle is certain if the energies of the last half of all windows agree to 1 %, and the remaining trend has at
     least halved while the time doubled (a slow decay would double it). Every other motion is followed for `longest_s`.
@@ -99,7 +99,7 @@ def _log_energy_change(energies: list[float]) -> float:
 
 
 def _decays_slowly(energies: list[float]) -> bool:
-    """Return whether the energy falls in each eighth of the last half, in the end at 75 % of the first rate or more."""
+    """Return whether the energy falls in each eighth of the last half, at last at 75 % of the initial rate or more."""
     eighth = max(1, len(energies) // 8)
     means = [math.fsum(energies[len(energies) - k * eighth :][:eighth]) for k in (4, 3, 2, 1)]
     falls = np.diff(np.log(np.maximum(means, 1e-300)))
@@ -112,7 +112,7 @@ def end_of(
     longest_s: float = 640.0,
     interpolation: Literal["linear", "minimum_jerk"] = "linear",
 ) -> EndState:
-    """Return how the motion of the simulated handle ends once the hand's reference rests, by end_state."""
+    """Return how the simulated handle's motion ends, by end_state, after the hand's reference has come to rest."""
     simulation = Simulation(CompiledScene(config), waypoints, interpolation)
     simulation.advance(waypoints[-1][0] + WAIT_AFTER_MOTION_S)
     return end_state(simulation.advance, longest_s)

@@ -9,8 +9,8 @@ v_0 .. v_p (Gray and Markel, "A normalized digital filter structure", IEEE Trans
 
 so A = A_p = 1 + sum a_i z^-i, and in time x[n] = e[n] - sum a_i x[n-i]. The signals B_m / sqrt(E_m) are orthonormal for
 white input of unit power, so the output has unit power when the squares of the taps add up to one. Without taps v = (1,
-0, ..., 0), the all-pole filter. The filter is stable if all reflection coefficients are in (-1, 1). Convex means of
-such coefficients are in it, too, so filters are blended linearly in them.
+0, ..., 0), the all-pole filter. The filter is stable if all reflection coefficients are in (-1, 1). Weighted means
+of such coefficients are in that interval, too, so filters are blended linearly in their reflection coefficients.
 
 Frequencies of the design are angles w in (0, pi), and their map y = 1 - cos w = 2 sin^2(w/2), in which the power of any
 filter of order p is a ratio of polynomials of degree p at most.
@@ -41,7 +41,7 @@ _EDGE_RATE_FRACTION: Final = 5e-4
 _MIN_HALF_BANDWIDTH_RAD: Final = 2e-4
 """Half the smallest half-power bandwidth, in radians; it keeps pole radii at 0.9999 and below."""
 _END_DIP_RATIO: Final = 0.25
-"""The density at an end of the spectrum is at most 1/(1 + this) of the peak's, so that the peak is 1 dB above it."""
+"""The density at an end of the spectrum is at most 1/(1 + this) of the peak's: the peak is 1 dB above the end."""
 
 _Rule: TypeAlias = tuple[Array, Array]
 _FINE_RULE: Final[_Rule] = np.polynomial.legendre.leggauss(12)
@@ -118,9 +118,9 @@ def _mesh(
 ) -> tuple[Array, Array]:
     """Return nodes and weights on 0 .. limit that integrate a rational spectrum.
 
-    The poles are given as (angle, distance from the circle). The rule is composite Gauss-Legendre. Around each pole
-    the panels are graded by factors of two down to the pole's distance. So no panel is longer than about its own
-    distance to any pole, and each converges fast.
+    The poles are given as (angle, distance from the circle). The rule is composite Gauss-Legendre. Towards each pole
+    the panels halve in length down to the pole's distance, so that none is longer than about its own distance to any
+    pole, and the rule converges fast on each.
     """
     breaks: list[Array] = [np.linspace(0.0, limit, panels + 1)]
     for angle, distance in poles:
@@ -139,9 +139,9 @@ def panel_nodes(edges: Array, rule: _Rule) -> tuple[Array, Array]:
 
 
 def poles_of(reflection: Sequence[float]) -> ComplexArray:
-    """Return the poles of a lattice, as eigenvalues of one step of it without input.
+    """Return the poles of a lattice filter: the eigenvalues of the matrix of one step without input.
 
-    These are well-conditioned even if the roots of A are not.
+    The eigenvalues are well-conditioned even if the roots of A are not.
     """
     state = np.eye(len(reflection))
     after = np.zeros_like(state)
@@ -198,7 +198,7 @@ def stochastic_filter(peak_hz: float, mean_hz: float, rate_hz: float) -> Filter:
     - a pair of zeros, N = 1 + n t^2: order 2 over a floor of white noise;
     - the same real zero and a real pole, M linear: order 3, lowers (raises) the mean down to half of the peak.
 
-    The first shape in this order that has both peak and mean is returned; of several solutions, the one whose
+    The first shape in this order that can have both peak and mean is returned; of several solutions, the one whose
     half-power bandwidth is nearest to half of the peak frequency. Two bounds keep the peak distinct. The bandwidth is
     at least MIN_BANDWIDTH_HZ (or a quarter of the peak frequency, whichever is less). At an end of the spectrum that
     could rival the peak, the density is 1 dB lower. If no shape has both, the peak stays, and the shape with the
@@ -276,7 +276,7 @@ class _Family:
 
 
 def _inside(y: complex) -> complex:
-    """Return the root z within the unit circle of (1 - z)(1 - 1/z) = 2y, the upper one of a pair.
+    """Return the root z of (1 - z)(1 - 1/z) = 2y within the unit circle, the upper root of a pair.
 
     1 - z is accurate even if it is small.
     """

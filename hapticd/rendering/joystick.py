@@ -1,4 +1,4 @@
-"""The simulated joystick and its operator: C objects from validated configuration, and what gestures need of them."""
+"""The simulated joystick and its operator as C objects, made from a validated configuration, and data for gestures."""
 
 from __future__ import annotations
 

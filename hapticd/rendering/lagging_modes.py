@@ -1,4 +1,4 @@
-"""Modes for which the actuator is too slow: the part of each that it shows, and settings that would be sufficient.
+"""Modes for which the actuator is too slow: the part of each mode that it shows, and settings that would suffice.
 
 The shown part of a mode is the complex projection of the handle's acceleration on the mode's waveform, 30 Hz to 0.4 of
 the rate, divided by the projection with an ideal actuator. Its amplitude and phase are reported.
@@ -23,7 +23,7 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import Touched, displayed_mode, mode_path, modes_of, struck_shapes, touched_by
 
 MAX_AMPLITUDE_ERROR: Final = 0.1
-"""Error of the amplitude, as a fraction, that is not reported: with order 1, that of modes up to half the bandwidth."""
+"""Largest amplitude error, as a fraction, without a report: that of modes at half the bandwidth, with order 1."""
 _BANDWIDTH_SEARCH_FACTOR: Final = 1.5
 """Factor between the bandwidths that are tried."""
 _BANDWIDTH_BISECTIONS: Final = 3

@@ -192,7 +192,7 @@ class Rerun:
         self.restart(False)
 
     def restart(self, muted: bool) -> None:
-        """Clear all state; with `muted`, the command begins at 0 and follows the ramp."""
+        """Clear all state; with `muted`, the commanded force begins at 0 and rises over the scene's ramp_s."""
         self._state = new_state_of(self._slots)
         if muted:
             lib.hd_state_mute(self._state)
@@ -205,7 +205,7 @@ class Rerun:
     def turn_to(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
         """Take a validated scene, in which only the objects `changed` differ from the scene before.
 
-        Events of earlier ticks have no names afterwards.
+        Afterwards `name_of` may not know the events of earlier ticks.
         """
         self._compiler.events_read((revision - 1) & 0xFFFFFFFF)
         self._world = new_world(self._compiler.update(scene, changed, materials, revision))
@@ -228,7 +228,7 @@ class Rerun:
     def run(self, recorded: Samples, interval_s: Floats, periods: npt.NDArray[np.uint32]) -> tuple[Samples, Events]:
         """Return samples and events of (n,) recorded ticks.
 
-        `interval_s` (n,) is the time from the previous position report to that of a tick, 0 without a new one.
+        `interval_s` (n,) is the time from the previous position report to that of a tick, 0 without a new report.
         `periods` (n,) is the number of periods since the previous tick.
         """
         world, samples = self._world, np.empty(len(recorded), SAMPLE_DTYPE)
@@ -254,7 +254,7 @@ class Rerun:
 
 
 class Simulation:
-    """The closed loop of the tick and the simulated joystick, which keeps its state from run to run.
+    """The closed loop of tick and simulated joystick, whose state persists from run to run.
 
     Raises HapticdError for a scene that cannot be rendered.
     """
@@ -325,7 +325,7 @@ def _duration(duration_s: float, rate_hz: float) -> float:
 
 
 def _numbers(values: npt.ArrayLike, name: str, columns: int) -> Floats:
-    """Return real numbers of shape (n, columns); they need not be finite."""
+    """Return `values` as real numbers of shape (n, columns), which need not be finite."""
     try:
         given = np.asarray(values)
         if given.dtype.kind not in "fiu" or isinstance(values, np.ma.MaskedArray):

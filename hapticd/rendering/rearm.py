@@ -3,12 +3,12 @@
 Noise is assumed Gaussian with standard deviation s, independent at each of r samples a second. A probe held at a
 height m above a surface taps falsely if one sample is h or more above the surface, which rearms it, and a later one is
 below. Waiting for an event of probability p takes 1/p samples on average. So r / (1/Q((h - m)/s) + 1/Q(m/s)) false
-taps happen each second, with the Gaussian tail Q. The rate is largest half way, at m = h/2:
+taps happen each second, with the Gaussian tail Q. Most happen half way, at m = h/2:
 
     r Q(h / 2s) / 2   a second.
 
-An encoder of step d rounds by at most d/2 at either end, so h is larger by d. Without noise, d alone is sufficient: if
-the probe is below the surface at one step, it is less than d above it at the next.
+An encoder of step d rounds by at most d/2 at either end, so h must be larger by d. Without noise, h = d is sufficient:
+if the probe is below the surface at one step, it is less than d above the surface at the next.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def rearm_sigmas(rate_hz: float) -> float:
-    """Return (h - d) / s for at most one false tap a day."""
+    """Return (h - d) / s, in the module's symbols, for at most one false tap a day."""
     return -2.0 * NormalDist().inv_cdf(min(0.5, 2.0 / (rate_hz * SECONDS_PER_DAY)))
 
 

@@ -27,15 +27,15 @@ COMPARED_RANGE_DB: Final = 30.0
 _WHITE_NOISE_FRACTION: Final = 1e-7
 """White noise added to the autocorrelation against rounding errors, as a fraction of the power."""
 _MIN_SKIRT_EXPONENT: Final = 12.0
-"""Beyond the band of a model that is shown at a higher rate, power falls as 1/f to this exponent, or faster."""
+"""Smallest n with which power falls as 1/f^n beyond the band of a model that is shown at a higher rate."""
 _MAX_SKIRT_POWER_FRACTION: Final = 0.05
 """Largest fraction of the power that may lie beyond the band of such a model."""
 _MAX_PLACED_POLES: Final = 4
-"""Largest number of poles (or pairs) of such a model that are placed directly."""
+"""Largest number of the model's poles (or pairs) that are converted to the new rate directly, not fitted."""
 _MAX_REFINEMENTS: Final = 6
-"""Largest number of fits with the same placed poles."""
+"""Largest number of fits with the same placed (directly converted) poles."""
 _STALLED_ERROR_RATIO: Final = 0.95
-"""Refinement ends when a fit leaves more than this fraction of the previous error."""
+"""Refinement ends when a fit's error is more than this fraction of the previous one."""
 
 
 class Resampled(NamedTuple):
@@ -59,8 +59,8 @@ def resampled(model: Reflection, from_rate_hz: float, to_rate_hz: float) -> Resa
 
     At a higher rate the model is undefined beyond its band. There the target falls steeply from the band's edge. If
     that fit is not accepted, it is refined in two ways. The power beyond the band, which is arbitrary, follows the last
-    fit, but stays below that at the edge. As 32 lags of the new rate may be too short to resolve the model's poles, its
-    sharpest poles p are placed directly, at p^(from/to), and the recursion fits the rest.
+    fit, but stays below the power at the edge. As 32 lags of the new rate may be too short to resolve the model's
+    poles, its sharpest poles p are placed directly, at p^(from/to), and the recursion fits the rest.
     """
     if from_rate_hz == to_rate_hz:
         return Resampled(model, 1.0, 0.0)
@@ -118,7 +118,7 @@ def _error_between(
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """An all-pole filter of placed poles and a predictor, with its largest error and its power at the nodes."""
+    """An all-pole filter, the product of placed poles and a fitted rest, with its largest error and power at nodes."""
 
     error_db: float
     placed: list[complex]
@@ -140,7 +140,7 @@ class _Nodes:
     half: ComplexArray
     """z^(1/2) at each node."""
     cosines: Array
-    """[lags][nodes]: maps the power to the autocorrelation."""
+    """Matrix [lags][nodes] that maps the weighted power to the autocorrelation."""
 
     @classmethod
     def at(cls, angle: Array, weight: Array) -> "_Nodes":
@@ -158,7 +158,7 @@ class _Nodes:
 def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex]) -> _Fit:
     """Return the all-pole fit to `target` of the smallest order that is close to `power`, else of the closest order.
 
-    `power` is the model's at the first nodes, those within the band.
+    `power` is the model's power at the first nodes, those within the band.
     """
     direct = np.ones_like(target)
     for pole in placed:
@@ -235,9 +235,9 @@ def _predicted(r: Array) -> Reflection:
 def _prefix_inverses(reflection: Sequence[float], half: ComplexArray) -> Iterator[Array]:
     """Yield 1 over the power of the all-pole filters of k_1 .. k_n for n = 0, 1, .. p, up to a factor.
 
-    On the circle B_m is z^-m times the conjugate of A_m. With G_m = z^(m/2) A_m and H = z^(1/2) G_(m-1), the step A_m
-    = A_(m-1) + k_m z^-1 B_(m-1) becomes G_m = H + k_m conj(H). Its real part is that of H times (1 + k_m), its
-    imaginary part that of H times (1 - k_m).
+    On the unit circle B_m is z^-m times the conjugate of A_m. With G_m = z^(m/2) A_m and H = z^(1/2) G_(m-1), the step
+    A_m = A_(m-1) + k_m z^-1 B_(m-1) becomes G_m = H + k_m conj(H): the real part of H times (1 + k_m), and its
+    imaginary part times (1 - k_m).
     """
     turned = np.ones_like(half)
     yield np.ones(half.shape)

@@ -1,4 +1,4 @@
-"""Stability of a scene's contact sets, as `hapticd check` and runs report it."""
+"""Stability of a scene's contact sets, as `hapticd check` and offline runs report it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Stability:
     unknown: str | None
     """The reason, on one line; None if the stability is known."""
     assumed: Loop | None
-    """The loop for which it was computed."""
+    """The closed loop for which the stability was computed; None if it is unknown."""
     sets: int = 0
     unsafe: int = 0
     """Number of sets that are not proved safe."""
@@ -45,7 +45,7 @@ class Stability:
         }
 
     def problems(self) -> list[Problem]:
-        """Return a line for each of the first unsafe sets, and one with the number of all others."""
+        """Return a line for each of the first unsafe sets, and a line with the number of others that are not safe."""
         harmful = self.harmful
         found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MAX_STABILITY_LINES]]
         if len(harmful) > MAX_STABILITY_LINES:
@@ -55,7 +55,7 @@ class Stability:
 
 
 def place_of(objects: Sequence[str]) -> str:
-    """Return the place of a set's first object in the configuration, with the names of the other objects."""
+    """Return the configuration path of a set's first object, with the names of the other objects."""
     first, others = objects[0], objects[1:]
     place = path_text(("scene", "objects", first))
     if not others:

@@ -8,8 +8,8 @@ extend Colgate and Schenkel (1997), Abbott and Okamura (2005) and Diolaiti et al
     quantisation   noise(K, D, encoder, actuator) <= c   per axis; c is the handle's own dry friction
     eigenvalues    spectral radius < 1                   of the exact sampled loop with the configured hand
 
-`reach` is T/2 + t_d with a constant period T and age t_d of positions; `echo` is 1 with exact positions. The first two
-conditions together prove that a contact comes to rest in every passive hand, and imply the third.
+`reach` is T/2 + t_d with a constant period T and age t_d of positions; `echo` is 1 with exact positions. Together
+the first two conditions prove that a contact comes to rest in every passive hand, and imply the third.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from hapticd.config.dynamics import Dynamics, held_motion
 Floats: TypeAlias = npt.NDArray[np.float64]
 Limit: TypeAlias = Literal["passivity", "quantisation", "eigenvalues"]
 Verdict: TypeAlias = Literal["safe", "unproved", "unsafe"]
-"""unsafe: the linear loop grows with the configured hand or with the handle released, or dry friction does not absorb
-the noise of positions. unproved: neither, but not proved safe. safe: proved to come to rest in any passive hand."""
+"""safe: a contact is proved to come to rest in any passive hand. unsafe: motion of the linear loop grows with the
+configured hand or with the handle released, or dry friction does not absorb the noise of positions. unproved: else."""
 
 SPEED_ESTIMATE_ERROR_GAIN: Final = 7.0 / 3.0
-"""Largest gain of the velocity estimator from errors of its line fits to its speed. It extrapolates the speed by up to
-2/3 of the change since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
+"""Largest gain of the velocity estimator from errors of its fitted lines to the estimated speed. The estimate adds up
+to 2/3 of the slope's change since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
 WINDOW_MEAN_ENERGY_GAIN: Final = 2.0
 """Largest ratio of the energy of means over windows of changing length to that of the averaged signal (Hardy)."""
 ASSUMED_PRESS_N: Final = 1.0
@@ -68,7 +68,8 @@ class Timing:
     """Damping of the handle (N s/m) that passivity needs per 1 N/m of stiffness: half a period plus the delay, if both
     are constant."""
     echo: float
-    """The same per 1 N s/m of virtual damping: 1 if forces are held exactly as long as the interval of positions."""
+    """Damping of the handle (N s/m) that passivity needs per 1 N s/m of virtual damping: 1 if forces are held exactly
+    as long as the interval of positions."""
     reading_s: float
     """Shortest time between two positions that are read."""
     gain: float = 1.0
@@ -100,8 +101,8 @@ def timing(
     the same multiple, the newest acts.
 
     If the pattern of measurements and forces repeats within 128 ticks, `reach_s` is exact: the norm of the operator
-    that maps a velocity to the displacement since the measurement, the largest eigenvalue of a matrix over one pattern.
-    Otherwise it is the bound of Schur's test, which is larger.
+    that maps a velocity to the displacement since the measurement, found as the largest eigenvalue of a matrix over one
+    pattern. Otherwise `reach_s` is the bound of Schur's test, which is larger.
     """
     tick = Fraction(1)
     report = _ratio(report_interval_s * rate_hz) if report_interval_s > 0.0 else tick
@@ -181,7 +182,7 @@ def _symmetrised_norm(held: list[Fraction], acts: dict[Fraction, Fraction], patt
 
 
 def _schur_bound(held: list[Fraction], acts: dict[Fraction, Fraction]) -> float:
-    """Return half the longest time from a measurement until another acts that was taken after its force ended."""
+    """Return half the longest time from a measurement to the action of one that was taken after its force ended."""
     measured = [acts[time] for time in held]
     worst = Fraction(0)
     for place, after in enumerate(held[1:]):
@@ -249,15 +250,15 @@ class Margin:
 
     objects: tuple[str, ...]
     stiffness_n_per_m: float
-    """Largest eigenvalue of the sum of their stiffnesses, with friction springs and spring fields."""
+    """Largest eigenvalue of the summed stiffness of the objects, with friction springs and spring fields."""
     damping_n_s_per_m: float
     limit_n_per_m: float
     """`margin` times the stiffness."""
     held_limit_n_per_m: float
     """Largest stiffness at which the loop with the configured hand does not grow; infinite above 1e7 N/m."""
     margin: float
-    """The set is safe in any hand up to this factor on all its stiffnesses, with unchanged damping. Infinite without a
-    limit, 0 if no factor is safe."""
+    """Largest factor on all stiffnesses of the set, with unchanged damping, with which it is safe in any passive hand.
+    Infinite without a limit, 0 if no factor is safe."""
     limited_by: Limit
     verdict: Verdict
     spectral_radius: float
@@ -265,7 +266,7 @@ class Margin:
     free_radius: float
     """Spectral radius with the handle released."""
     remedy: str = ""
-    """Keys to lower, and safe values; empty if `limit_n_per_m` is sufficient to know, or if nothing helps."""
+    """Keys to lower, with safe values; empty if `limit_n_per_m` says enough, or if nothing helps."""
 
     @property
     def safe(self) -> bool:
@@ -304,11 +305,11 @@ class Margin:
 def limits(
     stiffness_n_per_m: Floats, damping_n_s_per_m: Floats, noise_n: Floats, still_noise_n: Floats, loop: Loop
 ) -> tuple[Floats, Floats]:
-    """Return the factors on all stiffnesses up to which a set is passive and up to which friction absorbs its noise.
+    """Return the factors on all stiffnesses up to which a set is passive, and up to which friction absorbs its noise.
 
-    All arrays are (n,): the stiffness and damping of the passivity condition, the noise that grows with the stiffness,
-    and the noise that does not, both for the worse axis. A factor is infinite without a limit, and 0 if no stiffness is
-    safe.
+    All arrays are (n,). They hold the stiffness and damping of the passivity condition, the noise that grows with the
+    stiffness, and the noise that does not, both for the worse axis. A factor is infinite without a limit, and 0 if no
+    stiffness is safe.
     """
     b, c = loop.dynamics.handle_damping_n_s_per_m, loop.dynamics.friction_n / loop.timing.gain
     left = b - loop.damping_echo * damping_n_s_per_m
@@ -329,8 +330,8 @@ def limits(
 def loop_matrix(stiffness: Floats, damping: Floats, loop: Loop) -> Floats:
     """Return the matrix of one period of the bilateral, unquantised loop: shapes (..., 2, 2) to (..., n, n).
 
-    The state has for both axes position and velocity when a force begins to act, then the positions that were measured
-    and not yet used. F = -K y - D (y - y before) / period, with y measured delay_s before F acts.
+    The state holds, for both axes, position and velocity when a force begins to act, then the positions that were
+    measured and not yet used. F = -K y - D (y - y before) / period, with y measured delay_s before F acts.
     """
     timing = loop.timing
     period = timing.period_s
@@ -380,10 +381,10 @@ def spectral_radius(stiffness: Floats, damping: Floats, loop: Loop) -> Floats:
 
 
 def held_factor(stiffness: Floats, damping: Floats, loop: Loop, least: Floats) -> Floats:
-    """Return the largest factor on `stiffness` (n, 2, 2) up to which the linear loop does not grow: (n,).
+    """Return the largest factors (n,) on `stiffness` (n, 2, 2) up to which motion of the linear loop does not grow.
 
     `least` (n,) are factors that are known to be stable, 0 if unknown. The search doubles the factor, then bisects to
-    0.1 %. It returns 0 if it finds no stable factor, and infinity if the loop is stable at all of them up to 1e7 N/m.
+    0.1 %. A factor is 0 if none is found to be stable, and infinite if the loop is stable up to 1e7 N/m.
     """
     size = np.maximum(np.linalg.norm(stiffness, 2, axis=(-2, -1)), 1e-9)
     low, high = np.minimum(least, _MAX_SEARCHED_N_PER_M / size), np.full(len(size), np.inf)

@@ -34,7 +34,7 @@ _MAX_NAMED_MATERIALS: Final = 4
 
 
 def with_remedy(margin: Margin, surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> Margin:
-    """Return the margin of an unsafe set with its actual limit, and the keys to lower if one number is not enough."""
+    """Return the margin of an unsafe set with its actual limit, and with keys to lower if the limit says too little."""
     own = np.array(slots, dtype=np.int64)
     alone = np.count_nonzero(surfaces.objects["shape"]) > MAX_SURFACES_JUDGED_TOGETHER
     if alone:
@@ -90,7 +90,7 @@ def _is_safe_near(
 def _largest_safe_factor(
     safe: Callable[[SurfaceTable], bool], with_factor: Callable[[float], SurfaceTable], top: float
 ) -> float:
-    """Return the largest factor up to `top` that, like slightly smaller ones, is safe; 0 if none was found."""
+    """Return the largest safe factor up to `top` for which slightly smaller ones are safe, too; 0 if none is found."""
     low = high = top
     while not _is_safe_near(safe, with_factor, low):
         low, high = _SEARCH_FACTOR_STEP * low, low

@@ -20,21 +20,20 @@ from hapticd.rendering.surface_properties import depends_on_radius, properties_o
 from hapticd.rendering.surface_table import SurfaceTable
 
 _SurfaceKind: TypeAlias = tuple[int, int, float]
-"""Properties that margins depend on at any position: material, first piece (-1: no patches), radius (0:
-irrelevant)."""
+"""Properties by which surfaces share terms of their margin: material, first piece (-1: no patches), radius (0: any)."""
 _PLANE_SHAPES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
 """Shapes that push along one normal."""
 _DISC_SHAPE: Final = int(Shape.DISC)
 """Shape number of a disc."""
 _WORST_NORMAL_COMPONENT: Final = math.sqrt(0.5 * WORST_NORMAL_FACTOR)
-"""Used as x and y of a normal, it makes the product in `of` WORST_NORMAL_FACTOR."""
+"""Used as x and y of a normal, this value makes the factor in `of` WORST_NORMAL_FACTOR, that of the worst normal."""
 
 
 class _KindMargins(NamedTuple):
     """Terms of the margin that all surfaces of one kind share, independent of position and orientation."""
 
     passive: float
-    """Factor on the stiffness up to which it is passive."""
+    """Factor on the stiffness up to which the surface is passive."""
     along_n: float
     """Noise along the normal that grows with the stiffness."""
     across_n: float

@@ -73,7 +73,7 @@ def _material_properties(materials: npt.NDArray[np.void]) -> SurfaceProperties:
 
 
 def depends_on_radius(materials: npt.NDArray[np.void]) -> npt.NDArray[np.bool_]:
-    """Return whether a disc of each of these materials, (n,) of MATERIAL_DTYPE, is stiffer the smaller it is."""
+    """Return for each of these materials, MATERIAL_DTYPE (n,), whether a smaller disc is stiffer."""
     return np.asarray((materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY))
 
 
@@ -91,7 +91,7 @@ def _put_discs(surfaces: SurfaceTable, properties: SurfaceProperties) -> None:
 
 
 def properties_of(surfaces: SurfaceTable) -> SurfaceProperties:
-    """Return the properties of each object: those of its material, or the largest of its pieces and their ramps."""
+    """Return the properties of each object: its material's, or the largest among its wall's pieces and their ramps."""
     materials = _material_properties(surfaces.materials)
     properties = SurfaceProperties(*(values.copy() for values in materials.of(surfaces.objects["material"])))
     _put_discs(surfaces, properties)

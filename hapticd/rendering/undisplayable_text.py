@@ -15,7 +15,7 @@ Use: TypeAlias = Literal["tap", "second", "rupture", "groove", "texture"]
 class Undisplayable:
     """A mode, a texture's peak or the middle of a waveform's spectrum that the rate cannot carry.
 
-    `shown_hz` is the frequency that is displayed instead, None if it is silent.
+    `shown_hz` is the frequency that is displayed instead; None if the vibration is silent.
     """
 
     material: str

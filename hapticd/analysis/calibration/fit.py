@@ -5,12 +5,12 @@ encoder and actuator:
 
     m x'' + b x' + c sign(x') + k x = F(t) + g,    observed with the delay d.
 
-It is exact between the periods and includes the times at which dry friction holds the handle. A force that is held for
-longer than a period of the servo, as by a link, is modelled both as a staircase that changes with each report and as
-its running mean over the hold, which is equivalent below the staircase's rate; the better fit is kept. m, b, c, k and d
-hold for the entire drive. c and d belong to the device: the drive of a held handle takes them from the drive of the
-free one, because under a hand damping times delay looks like mass. Each burst has its own initial position, initial
-speed and constant force g (drift of the hand, weight).
+The model is exact between the periods and includes the times at which dry friction holds the handle. A force that is
+held for longer than a period of the servo, as by a link, is modelled both as a staircase that changes with each report
+and as its running mean over the hold, which is equivalent below the staircase's rate; the better fit is kept. m, b, c,
+k and d hold for the entire drive. c and d belong to the device: for a held handle they are those of the free handle's
+drive, because under a hand damping times delay looks like mass. Each burst has its own initial position, initial speed
+and constant force g (drift of the hand, weight).
 
 The fit is least squares over the positions by variable projection (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973):
 an outer fit of m, b, c, k and d, and an inner fit of each burst's start. Its residuals are the encoder's rounding and
@@ -49,8 +49,8 @@ _MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
 class Point:
     """The ratio of the measured to the modelled spectrum of the bursts at one frequency.
 
-    Multiplied by the fit's linear response it yields the measured response, free of the effects of friction and of the
-    bursts' starts.
+    Multiplied by the fit's linear response, the ratio yields the measured response without the effects of friction and
+    of the bursts' starts.
     """
 
     frequency_hz: float
@@ -58,7 +58,7 @@ class Point:
 
 
 def points_of(lines: Iterable[tuple[float, complex, complex]]) -> tuple[Point, ...]:
-    """Return a point per frequency; `lines` are frequency (Hz), measured and modelled spectrum of each burst."""
+    """Return a point per frequency; `lines` hold frequency (Hz), measured and modelled spectrum of each burst."""
     sums: dict[float, tuple[complex, float]] = {}
     for frequency_hz, measured, modelled in lines:
         product, power = sums.get(frequency_hz, (0j, 0.0))
@@ -114,7 +114,7 @@ def difference(held: Fit, free: Fit, which: int) -> Estimate:
 
 
 def fit(record: Record, free: Fit | None = None) -> Fit:
-    """Fit the drive of a free handle, or of a held one, for which `free` is the fit of the free one.
+    """Fit the drive of a free handle, or of a held handle, given the fit `free` of the free drive.
 
     Raises HapticdError if the handle moved in too few bursts.
     """
@@ -123,7 +123,7 @@ def fit(record: Record, free: Fit | None = None) -> Fit:
 
 
 def held_forces(record: Record) -> list[Floats]:
-    """Return the possible forces at the actuator, each (n,), without the delay: running mean and staircase."""
+    """Return both models of the held force, (n,) each, without the delay: running mean and staircase."""
     periods = max(1, round(record.hold_s * record.rate_hz))
     if periods == 1:
         return [record.force_n]
@@ -162,14 +162,14 @@ def _motion(values: Floats, start: Floats, force_n: Floats, rate_hz: float) -> F
 
 
 def tapered(time_s: npt.NDArray[np.floating], frequency_hz: float) -> npt.NDArray[np.complex128]:
-    """Return the complex exponential at a frequency, times a Hann window over the times (n,)."""
+    """Return the complex exponential exp(-i w t) of a frequency, times a Hann window over the times (n,)."""
     taper = np.sin(math.pi * (time_s - time_s[0]) / (time_s[-1] - time_s[0])) ** 2
     return np.asarray(taper * np.exp(-2j * math.pi * frequency_hz * time_s))
 
 
 @dataclass(slots=True)
 class _Window:
-    """One burst: the force at each period, the periods `at` whose positions `seen_m` are fitted, and its start."""
+    """One burst: its force at each period, the periods `at` with the fitted positions `seen_m`, and its start."""
 
     frequency_hz: float
     force_n: Floats
@@ -180,7 +180,7 @@ class _Window:
 
     @property
     def start_scale(self) -> Floats:
-        """Step of each element of `start` for derivatives."""
+        """Steps of the elements of `start` for numerical derivatives."""
         return np.array([2e-5, 1e-2, 1e-2 * float(np.abs(self.force_n).max())])
 
 

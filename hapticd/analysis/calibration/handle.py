@@ -28,8 +28,8 @@ MIN_DELAY_PER_LAG: Final = 0.9
 A lag also changes the shape of the response, so that the fitted delay is up to 7 % less than its time constant.
 """
 MIN_LAG_DAMPING_RATIO: Final = 0.36
-"""Smallest damping ratio zeta with which a second-order lag has the bandwidth of a first-order lag of equal delay: 2
-zeta r >= 1, with the ratio r of bandwidth to natural frequency."""
+"""Smallest damping ratio zeta of a second-order lag that has at least the bandwidth of a first-order lag of equal
+delay: 2 zeta r >= 1, with the ratio r of bandwidth to natural frequency."""
 
 _MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
 
@@ -58,7 +58,7 @@ class Calibration:
 
     @property
     def resting(self) -> Resting:
-        """Noise and step of the positions of the free handle before its first burst."""
+        """Noise and step of the free handle's positions before the first burst."""
         free = self.records[0]
         begin = min((burst.begin for burst in free.bursts), default=0)
         return at_rest(free.position_m[:begin], free.step_m, free.rate_hz)
@@ -147,7 +147,7 @@ class Calibration:
 
 
 def _measured(fit: Fit, heard: AccelerometerResponse | None) -> list[tuple[str, Sequence[Point]]]:
-    """Return the measured points relative to the fit, by sensor."""
+    """Return the measured points (ratios to the fit) of each sensor, by the sensor's name."""
     return [("encoder", fit.points), ("accelerometer", () if heard is None else heard.points)]
 
 

@@ -3,8 +3,8 @@
 SimRig is the simulated joystick without clock, ServoRig a device at its servo. Both run the servo's tick over the scene
 of a configuration, have the same members, and raise HapticdError if they fail:
 
-strike(mode, amplitude, direction)  strike a mode with a coefficient; return the first tick that renders it
-run(duration_s)                     run for a time; return the samples rendered in it, (n,) records of SAMPLE_DTYPE
+strike(mode, amplitude, direction)  strike a mode with a coefficient; return the first tick that renders the mode
+run(duration_s)                     run for a time; return the samples of that time, (n,) records of SAMPLE_DTYPE
 with rig:                           at the end of the block the force is zero
 rate_hz, output                     rate of the servo, and how it renders for the device
 hold_s                              how long the actuator holds a force: a period of the servo or of its link
@@ -32,7 +32,7 @@ SERVO_POLL_INTERVAL_S: Final = 0.005
 SERVO_STALL_TIMEOUT_S: Final = 1.0
 """A servo that yields no sample for this time has stopped."""
 SIGNS_CHECK_TIMEOUT_S: Final = 30.0
-"""Time in which the user must release the handle, so that the signs of the device can be checked."""
+"""Time in which the user must release the handle, so that the signs of the device's forces can be checked."""
 
 
 class SimRig:
@@ -65,7 +65,7 @@ class SimRig:
 
 
 class ServoRig:
-    """A device at a servo of this process, started as by the daemon. Forces are on from the start."""
+    """A device at a servo that runs in this process, started as by the daemon. Forces are on from the start."""
 
     def __init__(self, config: Config) -> None:
         """Start the servo. Raises HapticdError if the device or the servo cannot be started."""
@@ -94,7 +94,7 @@ class ServoRig:
         self.close()
 
     def _check_signs(self) -> None:
-        """Wait until the signs of a device are checked. Raises HapticdError after SIGNS_CHECK_TIMEOUT_S."""
+        """Wait until the signs of the device's forces are checked. Raises HapticdError after SIGNS_CHECK_TIMEOUT_S."""
         deadline = time.monotonic() + SIGNS_CHECK_TIMEOUT_S
         while (signs := self._engine.counters().signs).holds_back:
             self.run(SERVO_POLL_INTERVAL_S)

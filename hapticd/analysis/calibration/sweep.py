@@ -1,9 +1,9 @@
 """The drive of a calibration: bursts at one frequency each, from FIRST_BURST_HZ downwards, then upwards.
 
 A burst is a slowly decaying mode, struck in alternating directions. A soft spring returns a free handle to the middle;
-its force is recorded, too. The strength of each burst follows from the motion of the one before, so that the handle
-stays in the middle third of its travel. It is at most MAX_BURST_FORCE_FRACTION of the force limit, which leaves a
-reserve for the spring.
+the spring's force is recorded, too. The force of each burst follows from the motion in the burst before, so that the
+handle stays in the middle third of its travel. It is at most MAX_BURST_FORCE_FRACTION of the force limit, which leaves
+a reserve for the spring.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ BURST_DECAYS: Final = 3.0
 MAX_BURST_FORCE_FRACTION: Final = 0.8
 """Largest force of a burst as a fraction of the force limit; the rest is a reserve for the spring."""
 BURST_LEAD_TIME_S: Final = 0.06
-"""A burst is evaluated from this time before its begin, which is the longest delay that can be fitted."""
+"""A burst is evaluated from this time before it begins; the time is also the longest delay that can be fitted."""
 FORCE_EXPIRY_TIME_S: Final = 0.03
 """A device may drop a force that is not renewed for this time."""
 DRIVE_REST_TIME_S: Final = 0.1
@@ -55,11 +55,11 @@ class Burst:
 
     frequency_hz: float
     force_n: float
-    """Coefficient of the mode, negative in the opposite direction."""
+    """Coefficient of the mode as a force, negative if struck in the negative direction of the axis."""
     begin: int
     """First servo period."""
     end: int
-    """First servo period after it."""
+    """First servo period after the burst."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def travel_m(config: Config) -> float:
 class Sweep:
     """A drive along one axis of a rig.
 
-    It ends at `highest_hz`, by default when the motion falls below a step of the encoder. `progress` is called
+    The drive ends at `highest_hz`, by default when the motion falls below a step of the encoder. `progress` is called
     with a text for each burst.
     """
 
@@ -178,7 +178,7 @@ class Sweep:
             frequency *= 1.25
 
     def _play_bursts(self, reach_m: float, force_n: float, frequencies: Iterator[float]) -> None:
-        """Play bursts; one at FIRST_BURST_HZ and `force_n` has moved the handle by `reach_m` before."""
+        """Play bursts; a previous burst at FIRST_BURST_HZ and `force_n` moved the handle by `reach_m`."""
         # A burst should move the handle by 0.4 of the middle third.
         allowed = 0.4 * MAX_TRAVEL_FRACTION * self._travel_m
         # The resonance of a held handle determines its mass: bursts above 5 Hz are played twice.

@@ -1,12 +1,11 @@
 """`hapticd verify`: strike each mode of the library, and compare the handle's acceleration with the library's waveform.
 
-With the simulated joystick, the acceleration is that of the handle: it is driven again by the commanded forces at
-PARTS_PER_PERIOD times the rate, and the differences of its exact velocities are means of its acceleration. The
-library's waveform is averaged over the same times. A link delays the force without changing its shape: the onset is
-the time at which the force begins at the actuator.
+The simulated handle is driven again by the commanded forces at PARTS_PER_PERIOD times the rate, and the differences of
+its exact velocities are means of its acceleration. The library's waveform is averaged over the same times. A link
+delays the force without changing its shape: the onset is the time at which the force begins at the actuator.
 
-With a recording, the complete sequence is found in it by cross-correlation. Each onset is then the time of the least
-error within 3 ms of its expected time.
+In a recording, cross-correlation finds the complete sequence. Each onset is then the time of the least error within
+3 ms of its expected time.
 
 Taps on a wall: the tapped surface acts on the handle while the tap rings. The forces of the tap are those that
 `hapticd.render` returns for a probe that meets a wall of the material at the given speed and then rests there. They
@@ -54,12 +53,12 @@ SIMULATION_TAIL_S: Final = 0.25
 """Time beyond five decay times that is compared for the simulated handle, until hand and handle are at rest. It is
 shorter than the pause between two strikes."""
 ONSET_LEAD_PERIODS: Final = 2.0**-20
-"""Time of an onset before the tick that renders it, in periods: just above 0, because an onset is a crossing."""
+"""Time from an onset to the tick that renders it, in periods: just above 0, as the probe has then crossed a surface."""
 
 
 @dataclass(frozen=True, slots=True)
 class Strike:
-    """A mode to strike: a use of a material, with the coefficient of the library."""
+    """A mode to strike: the material, its use of the mode, and the library's coefficient for it."""
 
     material: str
     use: str
@@ -69,7 +68,7 @@ class Strike:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The comparison of a displayed strike with the library."""
+    """The comparison of a displayed strike with the library's waveform."""
 
     strike: Strike
     displayed_hz: float | None
@@ -96,7 +95,7 @@ class Verdict:
 
 
 def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = DEFAULT_TAP_SPEED_M_PER_S) -> list[Strike]:
-    """Return the strikes of materials: taps and grooves at this speed, grooves under 1 N, and ruptures."""
+    """Return the strikes of materials: taps at this speed, grooves at this speed under 1 N, and ruptures."""
     found = []
     for name, material in materials.items():
         for strike in _tap_strikes(name, material, speed_m_per_s):
@@ -116,7 +115,7 @@ def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = DEFAULT
 
 
 def _tap_strikes(name: str, material: Material, speed_m_per_s: float) -> list[Strike]:
-    """Return the strikes of a tap: its mode and the second one, which may be negative; empty if it does not ring."""
+    """Return the strikes of a tap's mode and any second mode, which may be negative; empty if the tap does not ring."""
     tap = material.tap
     if tap is None or tap.ringing is None or not (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
         return []
@@ -219,7 +218,7 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
 def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
     """Return the time at which the force of a tick begins at the actuator, in units of 1/PARTS_PER_PERIOD of a period.
 
-    Over a link the force waits for its frame.
+    Over a link the force waits for the link's next frame.
     """
     onset = begin * PARTS_PER_PERIOD
     if link is None:
@@ -234,7 +233,7 @@ def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) 
 
 
 def compared(measured: Floats, reference: Floats, rate_hz: float, output: Output) -> tuple[float, float]:
-    """Return error and strength of an acceleration, (n,) at `rate_hz` from the onset, relative to the library's."""
+    """Return error and strength (see Verdict) of an acceleration relative to `reference`, (n,) each, from the onset."""
     high_hz = ERROR_BAND_RATE_FRACTION * min(output.rate_hz, rate_hz)
     error = band_error(measured, reference, rate_hz, ERROR_BAND_LOW_HZ, high_hz)
     one, other = (band_lines(each, rate_hz, ERROR_BAND_LOW_HZ, high_hz) for each in (measured, reference))
@@ -300,9 +299,9 @@ def tap_force(
 def acceleration_on(sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m: float, axis: Axis = "y") -> Floats:
     """Return the acceleration of the simulated handle on a wall, shape (n * PARTS_PER_PERIOD, 2), in m/s^2.
 
-    Each row is a mean over 1/PARTS_PER_PERIOD of a period.
-    Forces (n, 2) are held for 1/rate_hz each; the wall's normal is `axis`, and its stiffness acts in both directions
-    from the rest position. Encoder steps and the age of positions have no effect.
+    Each row is a mean over 1/PARTS_PER_PERIOD of a period. Forces (n, 2) are held for 1/rate_hz each. The wall's normal
+    is `axis`; its stiffness acts in both directions from the rest position. Encoder steps and the age of positions have
+    no effect.
     """
     joystick = new_sim(sim, rate_hz * PARTS_PER_PERIOD)
     along = 0 if axis == "x" else 1
@@ -321,7 +320,7 @@ def acceleration_on(sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m
 
 
 def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_s: float, axis: Axis) -> Verdict:
-    """Compare a tap on a wall with the library; `strikes` are the tap's mode and its second one, if any."""
+    """Compare a tap on a wall with the library; `strikes` are those of the tap's mode and of any second mode."""
     first = replace(strikes[0], use="wall")
     shown, _ = displayed_mode(first.mode, output)
     if shown is None:

@@ -1,4 +1,4 @@
-"""Recordings of surfaces from .csv, .npz and .wav files: SI units, one uniform clock, and their faults.
+"""Recordings of surfaces from .csv, .npz and .wav files: conversion to SI units on one uniform clock, and faults.
 
 files     the bytes of a recording's file, and its columns as numbers
 clock     quantities and their units; columns on a uniform clock, with jitter and gaps of their times corrected

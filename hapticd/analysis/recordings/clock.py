@@ -43,7 +43,7 @@ MIN_RECORDING_RATE_HZ: Final = 100.0
 MAX_RECORDING_RATE_HZ: Final = 1e6
 """A higher rate usually means that the times are in another unit."""
 MAX_UNIFORM_DEVIATION_PERIODS: Final = 1e-3
-"""Samples that deviate at most by this fraction of a period from a uniform clock are taken as uniform."""
+"""Times that deviate at most by this fraction of a period from a uniform clock are taken as uniform."""
 MAX_JITTER_PERIODS: Final = 0.5
 """A larger deviation from a uniform clock, in periods, means lost or doubled samples."""
 MAX_RATE_MISMATCH: Final = 0.02
@@ -190,8 +190,8 @@ def _sample_numbers(time_s: Floats, rounding_s: float) -> tuple[npt.NDArray[np.i
 def _is_wandering_clock(since_s: Floats, period_s: float) -> bool:
     """Return whether the times are those of a clock that drifts slowly.
 
-    Its steps deviate by less than MAX_JITTER_PERIODS, and the mean rates of up to 20 parts of the recording by less
-    than 1 %. A column that is not a time, such as a position, changes faster.
+    Steps of such a clock deviate by less than MAX_JITTER_PERIODS, and the mean rates of up to 20 parts of the recording
+    by less than 1 %. A column that is not a time, such as a position, changes faster.
     """
     steps = np.diff(since_s) / period_s
     edges = np.linspace(0, len(since_s) - 1, min(20, len(steps) // 50 + 1) + 1).round().astype(int)

@@ -26,7 +26,7 @@ from hapticd.base.yaml_source import printable, read_file
 MAX_RECORDING_BYTES: Final = 2**29
 """Largest file of a recording; it is read into memory."""
 MAX_UNPACKED_BYTES: Final = 2**31
-"""Largest sum of the arrays of an .npz, by its directory; a small archive may unpack to more than the memory."""
+"""Largest total size of the arrays of an .npz, by its directory: a small archive may unpack to more than the memory."""
 MAX_CHANNELS: Final = 64
 """Most channels of a .wav, or columns of an array of two dimensions."""
 _UNCLOSED_QUOTE_TEXT: Final = "is not a table of numbers: is a quotation mark not closed?"
@@ -49,7 +49,7 @@ class Table:
     """Function that returns the rounding step of a column's data type, such as float32; 0 if it is unknown."""
 
     def index_of(self, column: str | int) -> int:
-        """Return the index of the column with this name, or this number from 1. Raises ValueError for others."""
+        """Return the index of the column with this name, or this number from 1. Raises ValueError if there is none."""
         if isinstance(column, str) and column in self.names:
             if self.names.count(column) > 1:
                 raise ValueError(

@@ -23,12 +23,12 @@ Numbers: TypeAlias = dict[str, npt.NDArray[np.float64]]
 """Arrays of a material in the table's `numbers`, by the member of its record that holds their first index."""
 
 _DEFAULT_AIM: Final = (1.0, 0.0)
-"""Aim of a tap or a rupture unless another is given; the record's default in the core."""
+"""Aim (AimedKeys.aim) of a tap or a rupture that gives no direction; also the default in the core."""
 _SIGNED_MEMBERS: Final = (
     *("gain_re", "gain_im", "tail_re", "tail_im"),
     *("free_gain_re", "free_gain_im", "free_tail_re", "free_tail_im"),
 )
-"""Members of `struct hd_mode` that change sign with the mode."""
+"""Members of `struct hd_mode` that change sign if the mode's amplitude does."""
 
 
 def struck_modes(material: Material) -> Iterator[Mode]:
@@ -44,7 +44,7 @@ def material_record(
 ) -> tuple[CData, Numbers]:
     """Return a `struct hd_material *` and the arrays for `numbers`, whose indices are not yet set in it.
 
-    `noise_index` is the index of its noise, if any. `effects` are the effects that a device plays in place of modes.
+    `noise_index` is the index of the material's noise, if any. `effects` are what a device plays in place of modes.
     """
     record, numbers = ffi.new("struct hd_material *"), Numbers()
     record.stiffness_n_per_m = material.stiffness_n_per_m

@@ -41,12 +41,12 @@ class _Used:
     material: Material
     uses: int = 0
     noise: int | None = None
-    """Index of its noise."""
+    """Index of the material's noise."""
     filters: tuple[Noise, int, Design] | None = None
-    """The texture of its noise, the version of its filters, and the filters."""
+    """Texture of the noise, version of its filters, and the filters."""
     numbers: Numbers = field(default_factory=dict)
     struck: tuple[Mode, ...] = ()
-    """Its modes that are registered with the effects."""
+    """The material's modes that are registered with the effects."""
 
 
 class Materials:
@@ -71,7 +71,7 @@ class Materials:
         """Whether anything changed since the last `write`."""
 
     def turn_to(self, source: Mapping[str, Material]) -> list[int]:
-        """Take materials from `source`, which must stay unchanged, and return the indices of those that changed."""
+        """Take materials from `source`, which must stay unchanged; return the indices of used ones that changed."""
         if source is self._source:
             return []
         self._source = source
@@ -99,7 +99,7 @@ class Materials:
         return tuple(self._used[index].name if index in self._used else "" for index in range(self._places.count))
 
     def use(self, name: str) -> int:
-        """Add a use of a material, and return its index."""
+        """Count one more use of a material, and return its index."""
         index = self._index.get(name)
         if index is None:
             index = self._index[name] = self._places.take()
@@ -110,7 +110,7 @@ class Materials:
         return index
 
     def release(self, index: int) -> None:
-        """Remove a use of a material, and free its index after the last one."""
+        """Count one use of a material less, and free its index after the last."""
         used = self._used[index]
         used.uses -= 1
         if used.uses == 0:
@@ -165,7 +165,7 @@ class Materials:
     def prepare(self, name: str, material: Material) -> Steps[None]:
         """Compute in advance the slow parts of a material that will be compiled under this name.
 
-        They are filters, with a pause after each, compensated shapes, and the spectrum of a waveform.
+        These are filters (one per step), compensated shapes, and the spectrum of a waveform.
         """
         used = self._used.get(self._index.get(name, -1))
         if used is not None and used.material is material:
@@ -189,7 +189,7 @@ class Materials:
         return [used.name for used in self._used.values() if source.get(used.name, used.material) is not used.material]
 
     def rows(self) -> npt.NDArray[np.void]:
-        """Return the records, by index."""
+        """Return the records of the materials, by index."""
         return self._rows.array[: self._places.count]
 
     def write(self, table: CData) -> None:

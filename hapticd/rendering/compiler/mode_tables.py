@@ -51,9 +51,9 @@ class TabledModes(NamedTuple):
     """All values, including the nodes, in the core's order."""
 
     def complete(self, record: CData, mode: CData, output: Output) -> None:
-        """Put the values common to all strikes into a `struct hd_material` and into its `struct hd_mode` of `base`.
+        """Put the values common to all strikes into a `struct hd_material` and its `struct hd_mode` for `base`.
 
-        They are the frequency above which modes are lowered or muted, and the tail without kicks.
+        They are the frequency above which modes are lowered or muted, and the tail, without kicks.
         """
         record.tune_highest_rad_per_s, record.tune_mutes = _highest_rad_per_s(output), output.undisplayable == "mute"
         if len(self.nodes) == 0:
@@ -141,7 +141,7 @@ def _nodes(
 
 
 def _row(argument: float, free: Shape, touched: Shape) -> tuple[float, ...]:
-    """Return a node, in the order of enum hd_tune_number."""
+    """Return the numbers of a node, in the order of enum hd_tune_number."""
     tails = [0j if shape.tail is None else shape.tail.gain for shape in (touched, free)]
     gains = (touched.mode.gain, tails[0], free.mode.gain, tails[1])
     return argument, *(part for gain in gains for part in (gain.real, gain.imag)), touched.peak, free.peak

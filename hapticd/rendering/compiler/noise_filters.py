@@ -30,7 +30,7 @@ class Design(NamedTuple):
     speeds: tuple[float, ...]
     forces: tuple[float, ...]
     nodes: npt.NDArray[np.float64]
-    """(speeds, forces, 1 + order, and order + 1 with taps): RMS in m/s^2, reflection coefficients, ladder taps."""
+    """Array (speeds, forces, numbers): RMS in m/s^2, reflection coefficients (order,), any ladder taps (order + 1,)."""
     muted: bool = False
     """Whether the noise is silent."""
 
@@ -53,7 +53,7 @@ class Model(NamedTuple):
 
 
 def design(texture: Noise, output: Output) -> Steps[Design]:
-    """Design the filters of a texture, with a pause after each.
+    """Design the filters of a texture, one in each step.
 
     The filter of a model that was identified at another rate takes tens of milliseconds.
     """
@@ -87,9 +87,9 @@ def _shown_grid(texture: Autoregressive, rate_hz: float) -> Design:
 def grid(models: Sequence[Model]) -> Design:
     """Return the grid over all speeds and forces of the models, with the highest of their orders.
 
-    A model is a node, with zeros beyond its own order (which do not change it). A node without a model is a mean of
-    all models, weighted by the inverse square of their distance (Shepard, 1968) on axes scaled to their ranges. The
-    weights are positive and add up to one, so that the RMS stays within the given range and every |k| below 1.
+    Each model is a node, with zeros beyond its own order (which do not change the model). A node without a model is a
+    mean of all models, weighted by their inverse squared distance (Shepard, 1968) on axes scaled to their ranges. The
+    weights are positive and add up to one, so the RMS stays within the models' range and every |k| below 1.
     """
     order = max(len(model.reflection) for model in models)
     places = np.array([(model.speed_m_per_s, model.force_n) for model in models])

@@ -38,16 +38,16 @@ MAX_BRAKED_MOMENTUM_PART: Final = 0.1
 """Largest fraction of the handle's momentum that the passivity controller removes in a period."""
 
 _PERIOD_TOLERANCE: Final = 1e-6
-"""Ages are rounded up to periods, except those that exceed an integer by at most this fraction of a period."""
+"""Ages are rounded up to multiples of the period, but down if they exceed one by at most this fraction of a period."""
 _NO_FIELD: Final = (0.0,) * 4
-"""The contribution of an object that is not a field."""
+"""The `_Field` of an object that is not a field."""
 _QUANTA_PER_UNIT: Final = 1 << 1074
 """Every double is an integer multiple of 1/_QUANTA_PER_UNIT."""
 _Place: TypeAlias = tuple[float, float, float, float, float, float]
 _Owner: TypeAlias = tuple[int, int]
 """Slot and generation, by which an event refers to its object."""
 _Field: TypeAlias = tuple[float, float, float, float]
-"""Force (x, y), stiffness and damping: F = force - stiffness p - damping v."""
+"""Force law of a field: force (x, y), stiffness and damping of F = force - stiffness p - damping v."""
 
 # Kinds and integers: isinstance of a pydantic model, or a member of an enum, costs more than the rest of a record.
 _SURFACE_KINDS: Final = frozenset(SURFACE_KINDS)
@@ -75,7 +75,7 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
 
 
 def _field_of(item: SceneObject | None) -> _Field | None:
-    """Return the contribution of a field; None for a surface."""
+    """Return the force law of a field; None for a surface."""
     if item is None:
         return None
     if item.kind == "spring":
@@ -204,9 +204,9 @@ class Compiler:
         )
 
     def prepare(self, name: str, material: Material) -> Steps[None]:
-        """Compute in advance, filter by filter, what the next `update` needs if this is the material of that name.
+        """Compute in advance, filter by filter, what the next `update` needs if `name` is then this material.
 
-        The result of the update is the same as without it.
+        The result of the update is the same as without `prepare`.
         """
         return self._materials.prepare(name, material)
 
@@ -215,7 +215,7 @@ class Compiler:
         self._materials.forget_prepared()
 
     def changing(self, materials: Mapping[str, Material]) -> list[str]:
-        """Return the names in use for which `materials` has another material."""
+        """Return the names of materials in use for which `materials` has another material."""
         return self._materials.changing(materials)
 
     def update(
@@ -228,14 +228,14 @@ class Compiler:
         """Update the records of the objects `changed` and of all objects with a changed material.
 
         `changed` are ids, in the scene or not. `materials` defines every material of the scene, and must stay
-        unchanged. Returns the `struct hd_table *`, which is the same at every call and stays valid. Its `changed`
-        grows until `published` is called.
+        unchanged. Returns the `struct hd_table *`, which is the same at every call and stays valid. Its list
+        `changed` grows until `published` is called.
         """
         self._lost = {}
         return self._update(scene, list(changed), materials, revision, {})
 
     def published(self) -> None:
-        """Clear the list of changes after the table was published."""
+        """Clear the table's list of changes; call it after the table was published."""
         self._changed.clear()
         self._table.all_changed = 0
 

@@ -18,11 +18,11 @@ class _Pieces(NamedTuple):
     """The pieces of a wall with patches."""
 
     of: tuple[Sequence[Patch], str, float]
-    """Its patches, the material between them, and the ramp."""
+    """The wall's patches, the material between them, and the width of the ramp between materials."""
     rows: npt.NDArray[np.void]
     """Records of PIECE_DTYPE."""
     materials: frozenset[int]
-    """Indices of its materials; the wall counts as one use of each."""
+    """Indices of the wall's materials; the wall counts as one use of each."""
 
 
 class PatchedWalls:
