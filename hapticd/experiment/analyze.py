@@ -57,7 +57,7 @@ class Analysis:
 
 
 def require() -> None:
-    """Raise HapticdError if scipy is not installed."""
+    """Raise HapticdError if scipy, which the analysis needs, is not installed."""
     try:
         import scipy  # noqa: F401
     except ImportError:

@@ -31,7 +31,7 @@ def by_condition(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def cells(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """Tabulate trials, correct answers and Wilson intervals of each cell of the study."""
+    """Tabulate trials, correct answers and Wilson intervals of each cell (set of stimuli) of the study."""
     groups: dict[tuple[str, str], list[bool]] = defaultdict(list)
     for row in rows:
         if row.right is not None:
@@ -102,7 +102,7 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
 
 
 def pairs(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
-    """Tabulate percent correct of each pair, and its rank correlation with the published matrix.
+    """Tabulate percent correct of each pair of stimuli, and the rank correlation with the published matrix.
 
     The matrices have the form of Tables 2 and 3 of Okamura et al. (1998).
     """

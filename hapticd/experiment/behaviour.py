@@ -30,7 +30,7 @@ _MAX_STUDY_FOLDER_LEVELS: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """The cells of a trial by column, without missing ones."""
+    """A row of a table of answers: the texts of a trial by column, without missing ones."""
 
     cells: Mapping[str, str]
     where: str
@@ -113,7 +113,7 @@ class StudyFacts:
     varied: Mapping[str, Varied] = field(default_factory=dict)
     """The varied quantity of each adaptive procedure, by name."""
     staircases: Mapping[str, Mapping[str, Json]] = field(default_factory=dict)
-    """The `method` of each staircase, by procedure."""
+    """The parameters (`method`) of each procedure that is a staircase, by name."""
     crossed: bool = False
     """Whether cells are combinations of levels (trial.cross). If not, an adaptive trial's cell is its procedure."""
     conditions: tuple[str, ...] = ()
@@ -198,7 +198,10 @@ def _facts(files: Sequence[Path], task: str) -> StudyFacts:
 
 
 def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
-    """Return the facts of a study's YAML, with defaults for missing keys. `task` replaces a missing title."""
+    """Return the facts that an analysis needs from a study's YAML, with defaults for missing keys.
+
+    `task` replaces a missing title.
+    """
     trial, analysis, questions = (_mapping(study.get(key)) for key in ("trial", "analysis", "questions"))
     asked = _mapping(questions.get(str(trial.get("question")), next(iter(questions.values()), None)))
     answers = asked.get("answers")

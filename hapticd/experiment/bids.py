@@ -109,7 +109,7 @@ def _row(folder: SessionFolder, trial: Mapping[str, Any], answer: Record, stimul
 
 
 def _ordered_columns(names: set[str]) -> list[str]:
-    """Sort columns: the fixed ones, then those of the stimuli, then the measures."""
+    """Sort the columns of a table of answers: the fixed ones, then those of the stimuli, then the measures."""
     others = sorted(names - set(_FIXED_COLUMNS) - set(MOTION_MEASURES), key=_numbered)
     return [*_FIXED_COLUMNS, *others, *(name for name in MOTION_MEASURES if name in names)]
 

@@ -21,7 +21,7 @@ Levels = Mapping[str, Scalar]
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Trials that differ only in the order of presentation."""
+    """A cell of the study: trials whose stimuli differ only in the order of presentation."""
 
     condition: str
     name: str
@@ -44,7 +44,7 @@ class Cell:
 
 
 def cells_of(study: Study) -> list[Cell]:
-    """List all cells of the test, condition by condition, in the order of the file."""
+    """List all cells of the test, condition by condition, in the order of the study's file."""
     return [cell for condition in study.conditions for cell in _cells(study, condition)]
 
 
@@ -87,7 +87,10 @@ def _cells(study: Study, condition: str) -> Iterator[Cell]:
 
 
 def _listed(study: Study, condition: str, trials: Sequence[ListedTrial]) -> Iterator[Cell]:
-    """Yield the cells of trial.list. Equal stimuli share one object, to save memory and time in a long list."""
+    """Yield the cells of the trials that a study lists in trial.list.
+
+    Equal stimuli share one object, to save memory and time in a long list.
+    """
     known: dict[object, tuple[Levels, str]] = {}
     for entry, listed in enumerate(trials):
         if listed.condition not in (None, condition):
@@ -106,7 +109,7 @@ def _listed(study: Study, condition: str, trials: Sequence[ListedTrial]) -> Iter
 
 
 def levels_key(levels: Levels) -> Hashable:
-    """Return levels as a key of a mapping. The types are part of it, as True == 1 in Python."""
+    """Return levels as a key of a mapping. The key contains the types of the levels, as True == 1 in Python."""
     return tuple([(name, type(level), level) for name, level in levels.items()])
 
 

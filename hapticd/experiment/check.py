@@ -45,7 +45,7 @@ class CellCount:
 
 @dataclass(frozen=True, slots=True)
 class StudyReport:
-    """The result of the check of a study."""
+    """The result of `check_study`: problems with stimuli, duration, trials of each cell, and power."""
 
     title: str
     device: str
@@ -57,7 +57,7 @@ class StudyReport:
     cells: tuple[CellCount, ...]
     breaks: int
     minutes: float
-    """Duration of a session in minutes: expected_s per trial, and the shortest breaks."""
+    """Duration of a session in minutes: the study's `expected_s` for each trial, plus the shortest allowed breaks."""
     expected_s: float
     correct: str | None
     """The correct answer in words, or None if the study defines none."""
@@ -72,7 +72,7 @@ class StudyReport:
 
     @property
     def faults(self) -> int:
-        """Number of problems with the display of the stimuli."""
+        """Number of problems that the device has with the stimuli."""
         return len(self.undisplayable)
 
     def to_dict(self) -> dict[str, object]:

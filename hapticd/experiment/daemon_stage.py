@@ -28,7 +28,7 @@ from hapticd.protocol.results import Event
 from hapticd.recording.recording import load
 
 RUNNER_LEASE_S: Final = 3.0
-"""Duration of the runner's lease. The forces fade out this long after the runner hangs or is killed."""
+"""Duration of the runner's lease, its right to use the forces. The forces fade out this long after the runner hangs or is killed."""
 TELEMETRY_LAG_TIMEOUT_S: Final = 20.0
 """Longest wait for the telemetry of a trial after its end. If it takes longer, the machine is too busy."""
 FADE_TIMEOUT_S: Final = 5.0
@@ -44,7 +44,7 @@ _SAMPLE_BATCH_S: Final = 0.02
 
 
 class DaemonStage:
-    """A stage on a running daemon; a context manager that holds the daemon's lease."""
+    """A renderer of trials on a running daemon; a context manager that holds the lease, the right to use the forces."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -85,7 +85,7 @@ class DaemonStage:
         }
 
     def check(self) -> None:
-        """Check the forces as `Stage.check`. Raises DaemonNotRunning if the daemon has ended."""
+        """Raise an error if the forces are off, as `Stage.check`. Raises DaemonNotRunning if the daemon has ended."""
         status = self._client.get_status()
         if status["faults"]:
             faults = ", ".join(status["faults"])
@@ -96,7 +96,10 @@ class DaemonStage:
             raise ForcesStopped("another client switched the forces off")
 
     def arm(self, config: Config) -> None:
-        """Arm a scene as `Stage.arm`, by the daemon's methods `apply` (scene and materials) and `reset` (membranes)."""
+        """Switch the forces off and replace the scene, as `Stage.arm`.
+
+        Uses the daemon's methods `apply` (scene and materials) and `reset` (membranes).
+        """
         self.fade()
         known = shipped_materials()
         materials = {
@@ -120,7 +123,7 @@ class DaemonStage:
     def enable(self) -> None:
         """Switch the forces on.
 
-        Raises HapticdError if another client changed the scene since it was armed, the lease lapsed, or a fault is
+        Raises HapticdError if another client changed the scene since `arm`, the lease lapsed, or a fault is
         still latched.
         """
         revision = self._client.get_status()["revision"]
@@ -136,7 +139,10 @@ class DaemonStage:
         self._enabled = True
 
     def fade(self) -> None:
-        """Switch the forces off, and return when the commanded force is zero. Raises HapticdError on a timeout."""
+        """Switch the forces off, and return when the commanded force is zero.
+
+        Raises HapticdError if this takes too long.
+        """
         self._enabled = False
         self._client.set_forces(False)
         deadline = time.monotonic() + FADE_TIMEOUT_S
@@ -149,7 +155,10 @@ class DaemonStage:
         )
 
     def mark(self, text: str, data: Json) -> None:
-        """Add a mark to the event stream. Every client can read it, so it must not name a stimulus."""
+        """Add a mark, a text with data, to the daemon's event stream.
+
+        Every client can read it, so it must not name a stimulus.
+        """
         self._client.mark(text, data)
 
     @contextmanager

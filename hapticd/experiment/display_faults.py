@@ -29,7 +29,7 @@ _MAX_FAULTS: Final = 50
 
 
 def display_faults(study: Study) -> list[Fault]:
-    """Return the faults of the base configuration, of conditions, of levels and of combinations of these."""
+    """Return the faults of a study's base configuration, conditions and levels, and of combinations of these."""
     base = [(("base", *path), text) for path, text in config_faults(study.base)]
     if base:
         return base
@@ -86,7 +86,10 @@ def _faults(make: Callable[[], dict[str, Json]]) -> list[Fault]:
 
 
 def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place: str | None) -> list[Fault]:
-    """Return the faults of a stimulus, at the level that alone causes them, or else at trial.cross or trial.list."""
+    """Return the faults of a stimulus's configuration.
+
+    They are reported at the level that alone causes faults, or else at trial.cross or trial.list.
+    """
     found = _faults(partial(document_of, study, condition, levels, place))
     if not found:
         return []

@@ -44,7 +44,10 @@ _STUDY_SECTIONS: Final = ("scene", "materials")
 
 
 def faults_between(study: Study) -> list[Fault]:
-    """Return all conflicts between keys. Invalid configurations of stimuli are found by display_faults."""
+    """Return all conflicts between the keys of a study.
+
+    Invalid configurations of stimuli are found by display_faults.
+    """
     parts: tuple[Callable[[Study], Iterator[Fault]], ...] = (
         _base, _factors, _questions, _trial, _presentation, _references, _procedures, _order, _session_faults,
     )  # fmt: skip

@@ -51,7 +51,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What a participant may know of a trial."""
+    """A trial as the participant may see it, without names of stimuli, factors or conditions."""
 
     number: int
     """Number of the trial in the session, from 1."""
@@ -121,7 +121,10 @@ class Command:
 
 
 class Front(Protocol):
-    """The user interface of participant and experimenter. A method that returns a command was interrupted by it."""
+    """The user interface of participant and experimenter.
+
+    A method that returns a Command was interrupted by this command of the experimenter; else it returns None.
+    """
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
         """Show title and instructions before the first trial of a run, and return when the participant begins.
@@ -130,10 +133,10 @@ class Front(Protocol):
         """
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
-        """Show the instructions of a phase before its first trial, and return when the participant begins."""
+        """Show the instructions of practice, training or test, and return when the participant begins this phase."""
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
-        """Show an armed trial, and return when its forces may be switched on."""
+        """Show a trial whose scene is loaded, and return when its forces may be switched on."""
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
         """Ask the participant to withdraw the handle from the objects of an interval, counted from 1.
@@ -157,10 +160,16 @@ class Front(Protocol):
         """
 
     def not_done(self, trial: int, why: str) -> None:
-        """Report to both persons that a motor task was not done and begins again. `trial` counts from 1."""
+        """Report to participant and experimenter that a motor task was not done and begins again.
+
+        `trial` counts from 1.
+        """
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        """Report a saved answer. `response_s` is the time from the onset of the last interval, in s."""
+        """Report an answer that was saved on disk.
+
+        `response_s` is the time from the onset of the last interval, in s.
+        """
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
         """Show a break that lasts at least `least_s` more seconds. Return when the participant continues."""

@@ -76,7 +76,7 @@ def with_patch(document: Mapping[str, Json], patch: Mapping[str, Json]) -> dict[
 
 
 def with_value(document: Mapping[str, Json], path: Path, value: Json, *, make: bool = False) -> dict[str, Json]:
-    """Return a configuration with one key set.
+    """Return a configuration in which the key at `path` has the value `value`.
 
     With `make`, missing mappings along the path are created; their other keys have defaults. Raises InvalidError at the
     path if it does not exist.
@@ -100,7 +100,7 @@ def _with_shipped(document: Mapping[str, Json], names: Iterable[str]) -> Mapping
 
 
 def _set(node: Json, path: Path, depth: int, value: Json, make: bool) -> Json:
-    """Return `node` with a value set. Only the nodes along the path are copied."""
+    """Return a copy of `node` with `value` at `path`. Only the nodes along the path are copied."""
     if depth == len(path):
         return value
     key = path[depth]

@@ -73,7 +73,7 @@ class Factor(CheckedTogether):
     )
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between the keys `levels`, `variants` and `at`."""
+        """Return conflicts between the keys `levels`, `variants` and `at` of a factor."""
         faults = one_of_two(self, "levels", "variants")
         if self.variants is not None and self.at is not None:
             faults.append("at is only valid with levels; variants name the keys that they change")
@@ -109,7 +109,7 @@ class ReplyAnswer(Model):
 
 
 class Asked(Model):
-    """The rule for the correct answer, from the levels of the stimuli."""
+    """The rule that derives the correct answer from the levels of the stimuli."""
 
     factor: Name = Field(description="The factor, or the variable of a procedure, by which stimuli are compared.")
     which: Literal["highest", "lowest"] = Field(
@@ -153,7 +153,7 @@ class SliderQuestion(CheckedTogether):
     high_label: Label | None = Field(default=None, description="Label of the right end.")
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between low, high and step."""
+        """Return conflicts between the keys `low`, `high` and `step` of a slider."""
         faults = _rising(self.low, self.high)
         if not faults and self.step is not None and self.step > self.high - self.low:
             faults.append(f"step must be at most high minus low, {self.high - self.low:g}, is {self.step:g}")
@@ -169,7 +169,7 @@ class NumberQuestion(CheckedTogether):
     high: float = Field(default=1e6, ge=-1e9, le=1e9, description="Largest number that is accepted.")
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between low and high."""
+        """Return conflicts between the keys `low` and `high`, the limits of the number."""
         return _rising(self.low, self.high)
 
 
@@ -221,7 +221,7 @@ class Adaptive(Model):
 
     @property
     def trials(self) -> int:
-        """The largest number of trials of a run."""
+        """The largest number of trials of one run of the procedure."""
         method = self.method
         if isinstance(method, ConstantStimuliParameters):
             return len(method.levels) * method.repetitions
@@ -237,7 +237,7 @@ class Adaptive(Model):
 
 
 class ListedTrial(Model):
-    """An entry of trial.list."""
+    """An entry of trial.list: one trial with its stimuli."""
 
     stimuli: Annotated[
         tuple[dict[Name, Level], ...], Strict(False), Field(min_length=1, max_length=MAX_STIMULI_PER_TRIAL)
@@ -406,11 +406,11 @@ class Study(Model):
 
     @property
     def asked(self) -> Question:
-        """The question of the trials."""
+        """The question that the trials ask, one of `questions`."""
         return self.questions[self.trial.question]
 
     def adaptive(self, procedure: str) -> Adaptive:
-        """Return the adaptive procedure of a run, by the run's name.
+        """Return the adaptive procedure of a run, a sequence of trials with one state, by the run's name.
 
         The name is e.g. `rising`, or `rising.CONDITION.CELL` if each condition and cell has a separate run.
         """

@@ -72,7 +72,7 @@ SAMPLE_CHANNELS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """Numbers of sent and lost data."""
+    """Numbers of samples and event codes that were sent to LSL, and of samples that were lost."""
 
     samples: int
     """Samples that were sent."""
@@ -151,12 +151,12 @@ class Outlets:
             channel.append_child_value("type", kind)
 
     def push_samples(self, batch: SampleBatch) -> None:
-        """Send a chunk of samples, each with the deadline of its tick as time."""
+        """Send a batch of samples to LSL, each with the deadline of its tick as time."""
         if len(batch):
             self._samples.push_chunk(matrix_of(batch), (batch["time_ns"] / 1e9).tolist())
 
     def push_event(self, event: Mapping[str, object]) -> None:
-        """Send the code of an event, if it has one, with the time of its tick."""
+        """Send the code of a daemon's event to LSL, if it has one, with the time of its tick."""
         code = code_of(event)
         if code is None:
             return

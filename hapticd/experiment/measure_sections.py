@@ -164,7 +164,7 @@ def _replayed_staircase(parameters: StaircaseParameters, rows: Sequence[Row]) ->
         shown, due = row.number("level"), staircase.level()
         # A table stores nine digits of a level.
         if due is None or shown is None or not math.isclose(shown, due, rel_tol=1e-7, abs_tol=1e-12):
-            raise ProcedureError(f"{row.where}: the staircase of the study would not show this level")
+            raise ProcedureError(f"{row.where}: this level is not the one that the staircase of the study shows next")
         staircase.answer(due, row.right is True)
     return staircase
 
@@ -319,7 +319,7 @@ def _unit(measure: str) -> str:
 def _figures(
     found: PsychometricFit, estimates: Mapping[str, Estimate], varied: Varied
 ) -> list[tuple[str, str, Estimate]]:
-    """Return names, units and values of threshold, Weber fraction, slope and lapse."""
+    """Return names, units and values of a fit's threshold, Weber fraction, slope and lapse."""
     threshold, reference = estimates["pse"], varied.reference
     figures = [("threshold", varied.unit, threshold)]
     if varied.level == "added" and reference:

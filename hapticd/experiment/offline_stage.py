@@ -25,10 +25,13 @@ from hapticd.rendering.offline import Run, simulate_run
 
 
 class OfflineStage:
-    """A stage that computes trials with the simulated joystick."""
+    """A renderer of trials that simulates servo and joystick, without a daemon."""
 
     def __init__(self, keep_telemetry: bool = False) -> None:
-        """Make a stage. With `keep_telemetry` each trial is written to a .npz, which takes longer than computing it."""
+        """Make the stage.
+
+        With `keep_telemetry` each trial is written to a .npz, which takes longer than computing it.
+        """
         self._keep = keep_telemetry
         self._config: Config | None = None
         self._on = False
@@ -48,7 +51,10 @@ class OfflineStage:
         """Do nothing: an offline stage loses no forces."""
 
     def arm(self, config: Config) -> None:
-        """Arm a scene as `Stage.arm`. Each run of the closed loop begins with an untouched scene."""
+        """Set the configuration that is simulated from now on, as `Stage.arm`; forbid motions until `enable`.
+
+        Each run of the closed loop begins with an untouched scene.
+        """
         self.fade()
         self._config = config
 
@@ -57,13 +63,13 @@ class OfflineStage:
         return True
 
     def enable(self) -> None:
-        """Allow motions. Raises HapticdError if no scene is armed."""
+        """Allow motions of the simulated hand. Raises HapticdError if no scene is armed."""
         if self._config is None:
             raise HapticdError("no scene is armed")
         self._on = True
 
     def fade(self) -> None:
-        """Forbid motions until `enable`."""
+        """Forbid motions of the simulated hand until `enable`."""
         self._on = False
 
     def mark(self, text: str, data: Json) -> None:

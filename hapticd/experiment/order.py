@@ -74,10 +74,11 @@ def latin_order(count: int, seed: int, participant: str, session: int) -> list[i
 def blocks_of(
     keys: Sequence[Hashable], kind: OrderKind, generator: np.random.Generator, square: Sequence[int] = ()
 ) -> list[list[int]]:
-    """Return the blocks of a session in their order, each as indices of `keys` (the key of each trial).
+    """Return the blocks of a session in their order, each as indices of `keys`.
 
-    For `blocked` and `latin_square`, equal keys make a block. For `latin_square`, `square` is the order of the blocks,
-    which are numbered by their first appearance. Within a block all orders are equally likely.
+    `keys` has the condition, cell or repetition of each trial. For `blocked` and `latin_square`, equal keys make a
+    block. For `latin_square`, `square` is the order of the blocks, which are numbered by their first appearance.
+    Within a block all orders are equally likely.
     """
     if kind == "listed":
         return [list(range(len(keys)))]
@@ -97,7 +98,7 @@ def shuffled(items: Sequence[int], generator: np.random.Generator) -> list[int]:
 
 
 def interleaved(counts: Sequence[int], generator: np.random.Generator) -> list[int]:
-    """Return an order of procedures in which each index occurs `counts[index]` times.
+    """Return an order of adaptive procedures in which each index occurs `counts[index]` times.
 
     It consists of rounds: each has every procedure that has trials left once, in random order.
     """
@@ -137,7 +138,7 @@ def sides(pairs: Sequence[tuple[int, int]], generator: np.random.Generator) -> l
 def _balanced_directions(
     edges: Sequence[tuple[int, int, int]], generator: np.random.Generator
 ) -> list[tuple[int, int]]:
-    """Direct edges (one, other, id) along Euler circuits, and return (id, first vertex) of each.
+    """Direct edges, pairs of stimuli (one, other, id), along Euler circuits, and return (id, first vertex) of each.
 
     Each vertex is first as often as second, give or take one edge. Vertices of odd degree are connected to an
     auxiliary vertex, whose edges are left out.

@@ -66,7 +66,7 @@ class Plan:
 
 @dataclass(slots=True)
 class _UnplacedTrial:
-    """A trial without an index and a block. `order` holds indices of its cell's stimuli."""
+    """A trial that has no index and block yet. `order` holds indices of its cell's stimuli."""
 
     cell: Cell
     repetition: int
@@ -98,7 +98,7 @@ def plan(study: Study, participant: str, session: int, seed: int) -> Plan:
 def _test(
     study: Study, cells: Sequence[Cell], participant: str, session: int, seed: int, generator: np.random.Generator
 ) -> Iterator[list[_UnplacedTrial]]:
-    """Yield the trials of the test, block by block."""
+    """Yield the trials of the test, the phase after practice and training, block by block."""
     if study.trial.procedures is not None:
         yield from _adaptive_test(study, cells, participant, session, seed, generator)
         return
@@ -125,7 +125,10 @@ def _test(
 def _adaptive_test(
     study: Study, cells: Sequence[Cell], participant: str, session: int, seed: int, generator: np.random.Generator
 ) -> Iterator[list[_UnplacedTrial]]:
-    """Yield the trials of procedures, block by block. Runs are interleaved, and each keeps the order of its trials."""
+    """Yield the test trials of adaptive procedures, block by block.
+
+    Runs of procedures are interleaved, and each keeps the order of its trials.
+    """
     by_procedure = study.order.by == "procedure"
     keys = [cell.procedure if by_procedure else cell.condition for cell in cells]
     kind = study.order.kind
@@ -209,7 +212,10 @@ def _ranking_orders(cell: Cell, generator: np.random.Generator) -> list[tuple[in
 def _warmup(
     study: Study, cells: Sequence[Cell], warmup: Warmup, generator: np.random.Generator
 ) -> list[_UnplacedTrial]:
-    """Return practice or training trials: each cell equally often, give or take one, with random order and sides."""
+    """Return practice or training trials: each cell equally often, give or take one.
+
+    Their order and the sides of their stimuli are random.
+    """
     chosen: list[int] = []
     while len(chosen) < warmup.trials:
         chosen += shuffled(range(len(cells)), generator)
@@ -226,7 +232,7 @@ def _warmup(
 
 
 class _TrialMaker:
-    """Makes planned trials. Equal stimuli at the same place share one object."""
+    """A maker of planned trials from trials without an index. Equal stimuli at the same place share one object."""
 
     def __init__(self, study: Study) -> None:
         self._study = study
@@ -234,7 +240,7 @@ class _TrialMaker:
         self._known: dict[object, Stimulus] = {}
 
     def trials(self, phase: Phase, block: int, items: Sequence[_UnplacedTrial], first: int) -> list[PlannedTrial]:
-        """Return the trials of a block in order; `first` is the index of the first one."""
+        """Return the planned trials of a block in order; `first` is the index of its first trial."""
         question = self._study.trial.question
         return [
             PlannedTrial(

@@ -56,8 +56,8 @@ def power_of_proportion(effect: ProportionEffect, chance: float, trials: int, se
 def critical_counts(total: int, chance: float, significance: float) -> tuple[int, int]:
     """Return the critical counts of the two-sided exact binomial test.
 
-    Counts up to the first, and from the second, reject chance. Each tail has at most half of the significance. A tail
-    without such a count has -1, or total + 1.
+    The test rejects chance if the number of correct answers is at most the first count, or at least the second. Each
+    tail has at most half of the significance. Without such a number the first is -1, the second total + 1.
     """
     counts = np.arange(total + 1)
     lgamma = np.array([math.lgamma(count + 1) for count in range(total + 1)])

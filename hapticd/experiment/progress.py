@@ -25,7 +25,7 @@ from hapticd.experiment.session_log import Record
 
 @dataclass(slots=True)
 class Progress:
-    """The progress of a session."""
+    """The progress of a session: trials done, attempts, states of procedures, and counts for stop rules."""
 
     done: set[int] = field(default_factory=set)
     """Indices of trials that were answered or skipped."""

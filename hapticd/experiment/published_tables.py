@@ -72,7 +72,7 @@ def _matrices(data: Mapping[str, Json]) -> dict[str, PublishedMatrix]:
 
 
 def _of_names(items: Sequence[str], table: Json, diagonal: Sequence[Json]) -> Floats:
-    """Return the lower triangle of a symmetric table, whose cells are given by two names in either order."""
+    """Return the lower triangle of a published symmetric table, whose cells are given by two names in either order."""
     percent = np.diag(np.array([_number(each) for each in diagonal]))
     percent[~np.eye(len(items), dtype=bool)] = np.nan
     assert isinstance(table, dict)

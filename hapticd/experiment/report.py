@@ -25,7 +25,7 @@ _LABEL_LETTER_INCHES: Final = 0.085
 
 
 def require() -> None:
-    """Raise HapticdError if matplotlib is not installed."""
+    """Raise HapticdError if matplotlib, which the report needs, is not installed."""
     require_matplotlib("the report", "experiment")
 
 

@@ -117,7 +117,7 @@ Picture: TypeAlias = Dots | Matrices | Fitted | PairedValues
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Tables, pictures and notes on one topic."""
+    """A section of an analysis: tables, pictures and notes on one topic."""
 
     tables: tuple[ResultTable, ...]
     pictures: tuple[Picture, ...] = ()

@@ -1,4 +1,4 @@
-"""The runner of a session: it runs the trials of a plan one after another, on a stage, with a front.
+"""The runner of a session: it runs the trials of a plan on a stage (the renderer), with a front (the user interface).
 
 A trial is over when its answer is on disk in the log. Only then the next one begins. After any end of the process,
 `Session` continues from the log with the same order and procedures, and repeats no answered trial.
@@ -49,7 +49,7 @@ class _Aborted(Exception):
 
 
 class _AttemptRepeated(Exception):
-    """The attempt does not count, and the trial begins again, after a pause if `paused`."""
+    """The attempt at a trial does not count, and the trial begins again, after a pause if `paused`."""
 
     def __init__(self, paused: bool = False) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class _ArmedTrial:
 
 
 class Session:
-    """One run of a session, from its beginning or from the end of its log."""
+    """One run of a session by one process, from the beginning or from where the session's log ends."""
 
     def __init__(
         self,
@@ -83,7 +83,10 @@ class Session:
         keep_telemetry: bool = True,
         monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Prepare a run. `monotonic_s` is the clock of response times; an offline stage uses simulated time."""
+        """Prepare a run of a session.
+
+        `monotonic_s` is the clock of response times; an offline stage uses simulated time.
+        """
         self._folder, self._log, self._plan = folder, log, plan
         self._stage, self._front = stage, front
         self._new_procedure, self._at_level = procedures, at_level
@@ -202,7 +205,10 @@ class Session:
         return None
 
     def _phase_and_break(self, before: PlannedTrial | None, trial: PlannedTrial) -> None:
-        """Show the instructions of a new phase, or a due break. `before` is the previous trial of the run, or None."""
+        """Show the instructions of a new phase (practice, training, test), or a due break.
+
+        `before` is the previous trial of the run, or None.
+        """
         study = self._plan.study
         if before is None or before.phase != trial.phase:
             warmup = {"practice": study.practice, "training": study.training}.get(trial.phase)
@@ -223,7 +229,7 @@ class Session:
     # ---- A trial --------------------------------------------------------------------------------------------
 
     def _run_trial(self, trial: PlannedTrial) -> None:
-        """Repeat a trial until it is answered."""
+        """Run attempts at a trial until it is answered."""
         while True:
             armed = self._armed(trial)
             attempt = self._progress.attempts.get(trial.index, 0) + 1
@@ -271,7 +277,7 @@ class Session:
         self._mark(EventCode.TRIAL_END, trial=trial.index, attempt=attempt)
 
     def _present(self, armed: _ArmedTrial, attempt: int) -> tuple[Reply, float, float]:
-        """Present the intervals one after another, and ask.
+        """Present the intervals of a trial one after another, and ask its question.
 
         Returns the reply, and on the session's clock the onsets of the first and of the last interval.
         """
@@ -317,7 +323,7 @@ class Session:
         asked_s: float,
         answered_s: float,
     ) -> None:
-        """Write the answer and the new state of the trial's procedure to disk, in one record."""
+        """Write the answer to a trial and the new state of the trial's procedure to disk, in one record."""
         trial = armed.trial
         question = self._plan.study.questions[trial.question]
         answer: Json = reply.answer
@@ -405,7 +411,7 @@ class Session:
         return {name: found[name] for name in wanted}
 
     def _check_faults(self, trial: PlannedTrial, attempt: int) -> None:
-        """Repeat the attempt if the forces were switched off during it; see `_repeat_attempt`."""
+        """Repeat an attempt at a trial if the forces were switched off during it; see `_repeat_attempt`."""
         try:
             self._stage.check()
         except HapticdError as error:
@@ -413,7 +419,7 @@ class Session:
         self._faults = 0
 
     def _repeat_attempt(self, trial: PlannedTrial, attempt: int, because: HapticdError) -> NoReturn:
-        """Give the attempt up. Raises _AttemptRepeated, or the fault itself after MAX_FAULTS_IN_A_ROW faults.
+        """Give an attempt at a trial up. Raises _AttemptRepeated, or the fault itself after MAX_FAULTS_IN_A_ROW faults.
 
         The trial begins again after a pause if another client stopped the forces.
         """
@@ -429,7 +435,10 @@ class Session:
     def _ask_during_attempt(
         self, armed: _ArmedTrial, attempt: int, ask: Callable[[], Reply | Command | None]
     ) -> Reply | None:
-        """Ask the front during an attempt. A pause or a repetition ends the attempt, as its times would be invalid."""
+        """Return the result of `ask`, a method of the user interface, called during an attempt at a trial.
+
+        A command to pause or repeat ends the attempt, as its times would be invalid.
+        """
         while True:
             result = ask()
             if not isinstance(result, Command):
@@ -444,7 +453,7 @@ class Session:
             raise _AttemptRepeated(paused=result.kind == "pause")
 
     def _ask_between_trials(self, ask: Callable[[], Command | None]) -> None:
-        """Ask the front between trials, until it returns no command."""
+        """Call `ask`, a method of the user interface, between trials, and obey its commands until it returns none."""
         while (result := ask()) is not None:
             if result.kind == "abort":
                 raise _Aborted

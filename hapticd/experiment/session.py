@@ -31,7 +31,7 @@ _PROCEDURE_KINDS: Final[dict[str, tuple[Any, Any]]] = {
 def begin(root: Path, source: bytes, plan: Plan, stage: Mapping[str, Json]) -> tuple[SessionFolder, SessionLog]:
     """Make the folder of a new session.
 
-    `source` is the study's YAML as it was read, `stage` the description of the stage. Raises HapticdError if the
+    `source` is the study's YAML as it was read, `stage` what `Stage.describe` returns. Raises HapticdError if the
     session already exists or cannot be written.
     """
     return SessionFolder.create(root, source, plan_document(plan), about_of(plan, stage, clock.read()))

@@ -101,7 +101,10 @@ class SessionFolder:
             raise HapticdError(f"{error.filename or self.path}: cannot be written: {error.strerror}") from None
 
     def write_with(self, log: bytes) -> None:
-        """Write a session that is over, its log last, without syncing to disk. Raises HapticdError if that fails."""
+        """Write the files of a session that is over, `log` last, without syncing to disk.
+
+        Raises HapticdError if that fails.
+        """
         self._write({LOG_FILE_NAME: log}, synced=False)
 
     def _write(self, more: Mapping[str, bytes], synced: bool) -> None:
@@ -150,11 +153,11 @@ class SessionFolder:
         return cast(int, self.about["seed"])
 
     def log(self) -> SessionLog:
-        """Open the log for writing. Raises HapticdError as `SessionLog`."""
+        """Open the session's log for writing. Raises HapticdError as `SessionLog`."""
         return SessionLog(self.path / LOG_FILE_NAME)
 
     def contents(self) -> Contents:
-        """Read the log without changing it. Raises HapticdError if it is damaged or cannot be read."""
+        """Read the session's log without changing it. Raises HapticdError if it is damaged or cannot be read."""
         return read_log(self.path / LOG_FILE_NAME)
 
     def trial_file(self, trial: int, attempt: int) -> Path:

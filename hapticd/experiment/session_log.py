@@ -39,7 +39,7 @@ Record = dict[str, Json]
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """The content of a log."""
+    """The content of a session's log: its records, and the incomplete last line."""
 
     records: tuple[Record, ...]
     size: int
@@ -132,7 +132,7 @@ class Log(Protocol):
         """Append a record and return it with its number. Raises HapticdError if it cannot be written."""
 
     def close(self) -> None:
-        """Close the log."""
+        """Close the log of the session."""
 
 
 class LogInMemory:
@@ -150,7 +150,7 @@ class LogInMemory:
         return record
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing: a log in memory has no file to close."""
 
 
 class SessionLog:
@@ -206,7 +206,7 @@ class SessionLog:
         return record
 
     def close(self) -> None:
-        """Close the file and release its lock."""
+        """Close the log's file and release its lock."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

@@ -56,7 +56,7 @@ class Telemetry:
 
 
 class Stage(Protocol):
-    """The renderer of trials. Each method raises HapticdError if it fails."""
+    """The renderer of a session's trials. Each method raises HapticdError if it fails."""
 
     def describe(self) -> dict[str, Json]:
         """Return version, device, calibration and real-time rights, for session.json."""
@@ -84,7 +84,7 @@ class Stage(Protocol):
         """Restore ruptured membranes, and fade the force in. Raises HapticdError if the scene changed since `arm`."""
 
     def fade(self) -> None:
-        """Fade the force out, and return when it is zero."""
+        """Fade the commanded force out, and return when it is zero."""
 
     def mark(self, text: str, data: Json) -> None:
         """Add an event code to the telemetry."""
@@ -93,10 +93,13 @@ class Stage(Protocol):
         """Record telemetry while the context lasts, into `target` if the stage keeps telemetry."""
 
     def move(self, motion: Motion) -> Samples:
-        """Move the simulated hand, and return the samples. Raises HapticdError without a simulated hand."""
+        """Move the simulated hand, and return the samples of this motion.
+
+        Raises HapticdError without a simulated hand.
+        """
 
     def telemetry(self) -> Telemetry:
-        """Return the telemetry of the last recording."""
+        """Return the telemetry of the last interval of the last recorded trial."""
 
 
 def until(waypoints: Waypoints, time_s: float) -> Waypoints:

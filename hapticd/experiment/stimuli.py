@@ -73,7 +73,7 @@ def levels_text(levels: Mapping[str, Scalar]) -> str:
 
 
 def placed(data: Json, place: str | None) -> Json:
-    """Return plain data with {place} replaced in keys and texts, or unchanged without a place."""
+    """Return plain data with {place} in keys and texts replaced by `place`, or unchanged if `place` is None."""
     if place is None:
         return data
     if isinstance(data, dict):
@@ -130,7 +130,7 @@ def place_of(study: Study, position: int) -> str | None:
 
 
 def value_of(variable: Variable, level: float) -> float:
-    """Return the value of a variable at a procedure's level."""
+    """Return the value of the key that a procedure varies, for a level of the procedure."""
     if variable.level == "value":
         return level
     return variable.reference + level if variable.level == "added" else variable.reference * level
@@ -171,7 +171,7 @@ def checked(study: Study, stimulus: Stimulus) -> Stimulus:
 
 
 def document_with(study: Study, stimuli: Sequence[Stimulus]) -> dict[str, Json]:
-    """Return the configuration that presents these stimuli: the one of an interval, or all that are side by side."""
+    """Return the configuration that presents one stimulus in an interval, or several stimuli side by side."""
     found: Json = dict(study.base)
     for stimulus in stimuli:
         found = merge_patch(found, dict(stimulus.changes))

@@ -106,7 +106,7 @@ def _path(where: str) -> Path:
 
 
 def _base_file(document: Document, name: str) -> Document:
-    """Load the base from a file in the study's folder, or a shipped scene."""
+    """Load the base, a study's scene and materials, from a file in the study's folder, or a shipped scene."""
     neighbor = FilePath(document.name or "").parent / name
     source = load_path(neighbor if neighbor.is_file() else file_of(name, "scenes"))
     refuse_other_kinds(source, "change", "scene", "bare scene", "materials")

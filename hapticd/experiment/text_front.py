@@ -31,7 +31,7 @@ from hapticd.experiment.replies import typed_reply
 from hapticd.experiment.stage import Stage
 
 STAGE_CHECK_PERIOD_S: Final = 0.5
-"""Time between two checks of the stage while waiting for input."""
+"""Time between two checks that the forces are still on (`Stage.check`), while waiting for input."""
 EXPERIMENTER_COMMANDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
 """Commands that can follow a colon."""
 _TERMINAL_SEQUENCES: Final = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left", " ": "space"}
@@ -132,7 +132,7 @@ class TextFront:
         return self._wait_for_enter("Press Enter to begin.")
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
-        """Print the instructions of a phase, and wait for Enter."""
+        """Print the instructions of a phase (practice, training or test), and wait for Enter."""
         if instructions is None and phase == "test":
             return None
         self._say(f"\n{phase.capitalize()}")
@@ -164,12 +164,12 @@ class TextFront:
         return None
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Print the number of the interval, and wait for Enter."""
+        """Print the number of an interval of the trial, and wait for Enter."""
         self._say(f"Interval {interval} of {shown.stimuli}.")
         return self._wait_for_enter("Press Enter for the next interval.", stage)
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
-        """Print the question, and read the answer until the time limit."""
+        """Print the question of a trial, and read the answer until the time limit."""
         if shown.stimuli > 1 and not shown.in_places:
             self._say(f"Interval {shown.stimuli} of {shown.stimuli}.")
         self._say_markdown(shown.text)
@@ -184,7 +184,7 @@ class TextFront:
                 return self._typed(shown, stage, deadline)
 
     def feedback(self, text: str, right: str | None) -> None:
-        """Print the feedback."""
+        """Print the feedback on a trial."""
         self._say(text)
 
     def not_done(self, trial: int, why: str) -> None:
@@ -211,7 +211,7 @@ class TextFront:
         return self._wait_for_enter("\nPaused, the forces are off. Press Enter to continue.")
 
     def tell(self, line: str) -> None:
-        """Print one line."""
+        """Print one line for the experimenter."""
         self._say(line)
 
     # ---- Output and input --------------------------------------------------------------------------------------
@@ -263,7 +263,7 @@ class TextFront:
         return Reply(None, timed_out=True)
 
     def _next(self, stage: Stage | None, deadline: float, lines: bool = False) -> str | Command | None:
-        """Return the next key, line or command, or None at the deadline. Checks the stage meanwhile, if given."""
+        """Return the next key, line or command, or None at the deadline. Calls `stage.check` meanwhile."""
         while (left_s := deadline - time.monotonic()) > 0:
             read: Callable[[float], str | None] = self._keys.line if lines else self._keys.read
             typed = read(min(STAGE_CHECK_PERIOD_S, left_s))

@@ -14,7 +14,7 @@ from hapticd.rendering.joystick import target_of
 
 
 def configurations(study: Study, stimuli: Sequence[Stimulus], rig: Config | None = None) -> tuple[Config, ...]:
-    """Return one configuration per interval, or a single one if the stimuli are side by side.
+    """Return the configurations for the stimuli of a trial: one per interval, or a single one if they are side by side.
 
     Servo and device are those of `rig`. Raises InvalidError if a configuration is invalid.
     """

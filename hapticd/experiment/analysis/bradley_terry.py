@@ -26,7 +26,7 @@ _NORMAL_QUANTILE: Final = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """A scale: the logarithmic strength of each item."""
+    """A Bradley-Terry scale: log s of each item, where s is the strength of the item."""
 
     items: tuple[str, ...]
     strengths: tuple[Estimate, ...]
@@ -40,7 +40,7 @@ class Scale:
 
 
 def bradley_terry(wins: npt.ArrayLike, ties: npt.ArrayLike | None = None, items: Sequence[str] | None = None) -> Scale:
-    """Fit the scale of k items.
+    """Fit the Bradley-Terry scale of k items to their paired comparisons.
 
     `wins` (k, k) counts how often the item of the row was chosen over that of the column. `ties` (k, k) counts ties;
     (i, j) and (j, i) are added. Comparisons of an item with itself are ignored. Raises FitError if the scale has no

@@ -90,7 +90,7 @@ def information(counts: npt.ArrayLike) -> Information:
 
 
 def _entropy(probabilities: Floats) -> float:
-    """Return the entropy in bits."""
+    """Return the entropy of a probability distribution, in bits."""
     some = probabilities[probabilities > 0]
     return float(-np.sum(some * np.log2(some))) + 0.0
 

@@ -46,7 +46,7 @@ class Box:
 
     @classmethod
     def around(cls, positions: Floats, guess: float | None, lapse: float | None) -> Box:
-        """Return the bounds for levels at `positions` (k,) on the axis.
+        """Return the bounds of the parameters for stimulus levels at `positions` (k,) on the axis.
 
         The threshold is at most one range beyond the lowest or highest level. The slope is from 0.05 / range to 6 / d,
         where d is the smallest distance of two levels: then a logistic function rises from 5 to 95 % within d.
@@ -63,14 +63,14 @@ class Box:
 
 
 def modelled(shape: Shape, positions: Floats, parameters: Floats, sign: float) -> Floats:
-    """Return the probabilities (b, k) of positive answers for parameters (b, 4); sign -1 is a falling function."""
+    """Return the probabilities (b, k) of positive answers for parameters (b, 4); `sign` -1: falling function."""
     z = sign * (positions - parameters[:, THRESHOLD, None]) * np.exp(parameters[:, SLOPE, None])
     guess, lapse = parameters[:, GUESS, None], parameters[:, LAPSE, None]
     return np.asarray(guess + (1.0 - guess - lapse) * rise(shape, z))
 
 
 def log_likelihood(positive: Floats, trials: Floats, probability: Floats) -> Floats:
-    """Return the log likelihoods (b,) of answers (b, k), without the binomial coefficients."""
+    """Return the log likelihoods (b,) of b sets of answers to k levels, without the binomial coefficients."""
     bounded = np.clip(probability, _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
     return np.asarray((positive * np.log(bounded) + (trials - positive) * np.log1p(-bounded)).sum(axis=1))
 
@@ -140,7 +140,7 @@ def _step(
     sign: float,
     damping: Floats,
 ) -> Floats:
-    """Return the step (b, 4) of damped Fisher scoring, 0 for parameters that stay at a bound."""
+    """Return the change (b, 4) of the parameters by a step of Fisher scoring, 0 for those that stay at a bound."""
     slope = np.exp(parameters[:, SLOPE, None])
     guess, lapse = parameters[:, GUESS, None], parameters[:, LAPSE, None]
     z = sign * (positions - parameters[:, THRESHOLD, None]) * slope

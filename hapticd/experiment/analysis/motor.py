@@ -33,7 +33,7 @@ class PairedComparison:
 
 
 def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = CONFIDENCE_LEVEL) -> PairedComparison:
-    """Compare values (n,) of the same participants in the same order.
+    """Compare the values (n,) of two conditions, of the same participants in the same order.
 
     Raises FitError for fewer than two participants, and if all differences are equal.
     """

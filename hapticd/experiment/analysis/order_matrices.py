@@ -33,7 +33,10 @@ class OrderMatrix:
 
 
 def order_matrix(pairs: Iterable[tuple[str, str]], correct: Iterable[bool], items: Sequence[str]) -> OrderMatrix:
-    """Return the matrix of trials, with rows and columns in the order of `items`. Raises FitError for unknown items."""
+    """Return the trials and correct answers of each pair, with rows and columns in the order of `items`.
+
+    Raises FitError for unknown items.
+    """
     places = {name: place for place, name in enumerate(items)}
     trials = np.zeros((len(places), len(places)), dtype=np.int64)
     right = np.zeros_like(trials)

@@ -77,7 +77,7 @@ class PsychometricFit:
 
     @property
     def figures(self) -> dict[str, float]:
-        """Values of PSYCHOMETRIC_FIGURES by name."""
+        """The figures of the fit, such as threshold and jnd, by their names in PSYCHOMETRIC_FIGURES."""
         return {name: float(value[0]) for name, value in figures_of(self, self.parameters[None]).items()}
 
     @property
@@ -172,7 +172,7 @@ def fit(
 def bootstrap(
     found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0, level: float = CONFIDENCE_LEVEL
 ) -> dict[str, Estimate]:
-    """Return PSYCHOMETRIC_FIGURES with intervals; the same seed yields the same intervals."""
+    """Return the PSYCHOMETRIC_FIGURES of a fit with bootstrap intervals; the same seed yields the same intervals."""
     generator = np.random.Generator(np.random.PCG64(seed))
     _, refitted = _resampled(found, generator, resamples)
     values, spread = figures_of(found, found.parameters[None]), figures_of(found, refitted)
@@ -194,7 +194,7 @@ def goodness_of_fit(found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES
 def percentiles(spread: Floats, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
     """Return the ends of the interval that contains the fraction `level` of resampled values (n,).
 
-    The ends are interpolated order statistics at (n + 1) times the tail probabilities.
+    Both ends are interpolated order statistics at (n + 1) times the tail probabilities.
     """
     rest = 0.5 * (1.0 - level)
     low, high = np.quantile(spread, (rest, 1.0 - rest), method="weibull")
@@ -232,7 +232,7 @@ def _sign(found: PsychometricFit) -> float:
 
 
 def _resampled(found: PsychometricFit, generator: np.random.Generator, count: int) -> tuple[Floats, Floats]:
-    """Draw positive answers (count, k) from the function; return them and their fitted parameters (count, 4)."""
+    """Draw positive answers (count, k) from a fit; return them and the parameters (count, 4) that fit them."""
     chances = np.clip(modelled(found.shape, _places(found), found.parameters[None], _sign(found)), 0.0, 1.0)[0]
     drawn = generator.binomial(found.trials.astype(np.int64), chances, (count, len(chances))).astype(float)
     starts = np.repeat(found.parameters[None], count, axis=0)
@@ -251,7 +251,7 @@ def _resampled(found: PsychometricFit, generator: np.random.Generator, count: in
 
 
 def _deviance(found: PsychometricFit, positive: Floats, parameters: Floats) -> Floats:
-    """Return the deviances (b,) of answers (b, k)."""
+    """Return the deviances (b,) of b sets of answers to k levels from the functions of `parameters` (b, 4)."""
     of = np.broadcast_to(found.trials, positive.shape)
     own = log_likelihood(positive, of, positive / of)
     return 2.0 * (own - log_likelihood(positive, of, modelled(found.shape, _places(found), parameters, _sign(found))))

@@ -48,7 +48,7 @@ def is_logarithmic(shape: Shape, logarithmic: bool) -> bool:
 
 
 def rise(shape: Shape, z: Floats) -> Floats:
-    """Return F(z), between 0 and 1."""
+    """Return the psychometric function F(z), between 0 and 1, at z = (u(x) - u(threshold)) slope."""
     if shape == "logistic":
         return np.asarray(0.5 * (1.0 + np.tanh(0.5 * z)))
     if shape == "weibull":
@@ -59,7 +59,7 @@ def rise(shape: Shape, z: Floats) -> Floats:
 
 
 def density(shape: Shape, z: Floats) -> Floats:
-    """Return the derivative dF/dz."""
+    """Return the derivative dF/dz of the psychometric function F(z)."""
     if shape == "logistic":
         return np.asarray(0.25 / np.cosh(np.clip(0.5 * z, -350, 350)) ** 2)
     if shape == "weibull":
@@ -69,7 +69,7 @@ def density(shape: Shape, z: Floats) -> Floats:
 
 
 def inverse(shape: Shape, proportion: Floats | float) -> Floats:
-    """Return the z at which F(z) is `proportion`; infinite for 0 and 1, NaN outside 0 to 1."""
+    """Return the z where the psychometric function F(z) is `proportion`; infinite for 0 and 1, NaN outside 0 to 1."""
     p = np.asarray(proportion, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         if shape == "logistic":
@@ -90,7 +90,10 @@ def probability(
     lapse: Floats | float = 0.0,
     logarithmic: bool = False,
 ) -> Floats:
-    """Return P at levels; all arguments are broadcast together. A negative slope is a falling function."""
+    """Return the probability of a positive answer at levels; all arguments are broadcast together.
+
+    A negative slope is a falling function.
+    """
     on_axis = is_logarithmic(shape, logarithmic)
     z = (axis(levels, on_axis) - axis(np.asarray(threshold, dtype=float), on_axis)) * slope
     return np.asarray(guess + (1.0 - np.asarray(guess) - lapse) * rise(shape, z))

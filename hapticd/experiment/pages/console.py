@@ -18,7 +18,7 @@ MAX_CONSOLE_LINES: Final = 200
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """An answer that is saved on disk."""
+    """A saved answer, as the experimenter's page lists it."""
 
     trial: int
     """Index of the trial in the plan, from 0."""
@@ -30,7 +30,7 @@ class Row:
     response_s: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the answer as JSON."""
+        """Return the answer as JSON data."""
         return asdict(self)
 
 
@@ -61,16 +61,16 @@ class Console:
     """The newest lines of the log."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the state as JSON."""
+        """Return the state of the session as JSON data, for the experimenter's page."""
         return asdict(self)
 
     def say(self, line: str) -> None:
-        """Append a line to the log."""
+        """Append a line to the log that the experimenter's page shows."""
         self.lines = [*self.lines, line][-MAX_CONSOLE_LINES:]
 
 
 def rows_of(records: Sequence[Record], trials: Sequence[PlannedTrial]) -> list[Row]:
-    """Return the answers in a session's log."""
+    """Return the answers in the records of a session's log, as rows of the experimenter's page."""
     started: dict[object, Mapping[str, Json]] = {}
     rows = []
     for record in records:

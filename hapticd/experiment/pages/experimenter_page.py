@@ -28,7 +28,7 @@ MAX_COMMAND_CHARACTERS: Final = 10_000
 
 
 def methods(front: PagesFront, presence: Presence) -> dict[str, Method]:
-    """Return the methods by name."""
+    """Return the methods that the experimenter's page may call, by name."""
 
     async def watch(page: Page, params: Mapping[str, object]) -> object:
         since = params.get("since", 0)
@@ -72,5 +72,5 @@ def methods(front: PagesFront, presence: Presence) -> dict[str, Method]:
 
 
 def news(front: PagesFront) -> dict[str, object]:
-    """Return the news for the page after a change: the console without its answers."""
+    """Return the message to the experimenter's page after a change: the console without its answers."""
     return {"experiment": front.console()}

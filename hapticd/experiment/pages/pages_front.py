@@ -27,7 +27,7 @@ from hapticd.experiment.stage import Stage
 
 Who: TypeAlias = Literal["participant", "experimenter"]
 STAGE_CHECK_INTERVAL_S: Final = 0.5
-"""Time between two checks of the stage while waiting for a page."""
+"""Time between two checks that the forces are still on (`Stage.check`), while waiting for a page."""
 PAGES_SERVER_TIMEOUT_S: Final = 3.0
 """The server of the pages counts as stuck if it does not report for this time."""
 _WAIT_TEXT: Final = "Please wait for the experimenter."
@@ -57,10 +57,13 @@ _PageMessage: TypeAlias = "_Continue | _Answer | _StateChanged | Command"
 
 
 class PagesFront:
-    """The front of a session whose participant and experimenter each have a page; see `Front` for the methods."""
+    """The user interface of a session with a page for participant and experimenter; see `Front` for the methods."""
 
     def __init__(self, plan: Plan, changed: Callable[[], None]) -> None:
-        """Create the front of a plan; `changed` is called from any thread when the content of a page has changed."""
+        """Create the user interface for the session of a plan.
+
+        `changed` is called, from any thread, when the content of a page has changed.
+        """
         self._plan, self._changed = plan, changed
         self._lock = threading.Lock()
         self._inbox: queue.SimpleQueue[_PageMessage] = queue.SimpleQueue()
@@ -112,7 +115,7 @@ class PagesFront:
             return {**self._console.to_dict(), "answers": len(self._rows), "least_s": least_s, "left_s": left_s}
 
     def rows(self, since: int = 0) -> list[dict[str, Any]]:
-        """Return the answers from index `since` on."""
+        """Return the saved answers from index `since` on, as JSON data."""
         with self._lock:
             return [row.to_dict() for row in self._rows[since:]]
 
@@ -153,7 +156,7 @@ class PagesFront:
     # ---- The session's thread ---------------------------------------------------------------------------------
 
     def opened(self, records: Sequence[Record]) -> None:
-        """Show the answers that the session's log already contains."""
+        """Show the experimenter the answers that the session's log already contains."""
         with self._lock:
             self._rows = rows_of(records, self._plan.trials)
         self._changed()
@@ -168,7 +171,7 @@ class PagesFront:
         self.tell(line)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
-        """Show the instructions and wait for the experimenter."""
+        """Show the study's instructions, and wait until the experimenter begins the session."""
         self._set(done=done, total=total, at_most=at_most)
         self._show(screens.read(f"# {title}\n\n{instructions}\n\n---\n\n{_WAIT_TEXT}", None), "begins", "Begin")
         return self._wait_to_continue("experimenter")
@@ -190,7 +193,7 @@ class PagesFront:
         return self._wait_to_continue("experimenter", automatic=True)
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Ask the participant to move the stylus out, and wait until the stage is clear."""
+        """Ask the participant to move the stylus out, and wait until the handle is clear of all objects."""
         screen = screens.trial(
             shown, interval=interval, felt=False, asks=False, withdraws=True, feedback=self._feedback
         )
@@ -210,13 +213,13 @@ class PagesFront:
         return self._pause_if_away()
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Let the participant feel an interval, and wait until the participant continues."""
+        """Let the participant feel an interval of the trial, and wait until the participant continues."""
         self._show_felt(shown, interval, asks=False)
         message = self._wait(lambda each: _continued(each, ("participant",)), stage=stage)
         return message if isinstance(message, Command) else None
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
-        """Show the question and wait for the answer."""
+        """Show the last interval and the question of a trial, and wait for the answer."""
         self._show_felt(shown, shown.stimuli, asks=True)
         message = self._wait(lambda each: each.reply if isinstance(each, _Answer) else None, stage, self._until_s)
         return Reply(None, timed_out=True) if message is None else message
@@ -262,7 +265,7 @@ class PagesFront:
         return message
 
     def tell(self, line: str) -> None:
-        """Show the experimenter a line."""
+        """Append a line to the log on the experimenter's page."""
         with self._lock:
             self._console.say(line)
         self._changed()
@@ -287,7 +290,7 @@ class PagesFront:
         self._show(felt, "felt", None, shown)
 
     def _show(self, screen: Screen, doing: Doing, goes_on: str | None = None, shown: Shown | None = None) -> None:
-        """Replace the screen. Its number increases by one."""
+        """Replace the screen of the participant's page. The number of the screen increases by one."""
         with self._lock:
             self._console.screen += 1
             self._console.doing, self._console.goes_on = doing, goes_on
@@ -306,7 +309,7 @@ class PagesFront:
         return [*missing, "the pages' server"] if stuck else missing
 
     def _pause_if_away(self) -> Command | None:
-        """Return a pause if a page is closed or does not respond, else None."""
+        """Return the command to pause if a page is closed or does not respond, else None."""
         missing = self._missing()
         if not missing:
             return None
@@ -354,7 +357,7 @@ class PagesFront:
     def _wait(
         self, accept: Callable[[_PageMessage], Any], stage: Stage | None = None, deadline: float = math.inf
     ) -> Any | Command | None:
-        """Wait for a message to this screen. Return the result of `accept`, a command, or None at the deadline.
+        """Wait for a page's message about the current screen. Return the result of `accept`, a command, or None at the deadline.
 
         With a `stage` the forces are on: the stage is checked, and a closed page causes a pause.
         """

@@ -35,7 +35,10 @@ STYLUS_TOPIC: Final = "stylus"
 
 
 def screen_number(params: Mapping[str, object]) -> int:
-    """Return the screen of a call's parameters. Raises HapticdError if it is missing or not an integer."""
+    """Return the number of the screen in a call's parameters.
+
+    Raises HapticdError if it is missing or not an integer.
+    """
     number = params.get("screen")
     if not isinstance(number, int) or isinstance(number, bool):
         raise HapticdError("screen: must be the number of the screen")
@@ -43,7 +46,10 @@ def screen_number(params: Mapping[str, object]) -> int:
 
 
 def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Method]:
-    """Return the methods by name; `hand` is whether the page moves the hand of the simulated joystick."""
+    """Return the methods that the participant's page may call, by name.
+
+    `hand` is whether the page moves the hand of the simulated joystick.
+    """
     newest: list[Page] = []
 
     async def hello(page: Page, _: Mapping[str, object]) -> object:

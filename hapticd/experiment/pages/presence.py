@@ -28,7 +28,10 @@ class Presence:
         now: Callable[[], float] = time.monotonic,
         swept: Callable[[], None] = lambda: None,
     ) -> None:
-        """Begin without pages. `changed` is called when the first page comes or the last leaves, `swept` per check."""
+        """Create a presence without pages.
+
+        `changed` is called when the first page comes or the last leaves, `swept` per check.
+        """
         self._swept = swept
         self._changed, self._away_s, self._now = changed, away_s, now
         self._heard: dict[Hashable, float] = {}

@@ -79,7 +79,7 @@ class News:
             self._loop.call_soon_threadsafe(self._event.set)
 
     async def listened(self, send: Callable[[], None]) -> None:
-        """Call `send` once, and again after one or more changes, until cancelled."""
+        """Call `send` once, and again after one or more changes of the pages' content, until cancelled."""
         self._loop, self._event = asyncio.get_running_loop(), asyncio.Event()
         try:
             while True:
@@ -158,7 +158,7 @@ class _SessionPages:
         return made
 
     def _address(self, who: Who) -> str:
-        """Return a new address, which opens the page once."""
+        """Return a new address of a page, which opens the page once."""
         return f"{self._at[who].url}/?token={self._sessions[who].new_token()}"
 
     def _print_addresses(self) -> list[str]:

@@ -2,5 +2,5 @@
 
 hand       waypoints of taps, strokes and presses, as varied as a person's
 observer   features of the felt force, and answers
-simulated  a front of a session, made of hand and observer
+simulated  a front (user interface) of a session, made of hand and observer
 """

@@ -44,7 +44,7 @@ class HandParameters:
 
 
 class Hand:
-    """A hand with its random generator."""
+    """A simulated hand, which returns waypoints of taps, strokes and presses, with its random generator."""
 
     def __init__(self, chance: np.random.Generator, parameters: HandParameters | None = None) -> None:
         self._chance = chance

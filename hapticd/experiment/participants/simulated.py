@@ -1,4 +1,4 @@
-"""A simulated participant as the front of a session: a hand explores, and an observer answers.
+"""A simulated participant as the front (user interface) of a session: a hand explores, and an observer answers.
 
 It receives `Shown`, which contains no names of stimuli, and the samples that its hand felt. Like a person it knows from
 the instructions whether to tap, to stroke or to press.

@@ -40,7 +40,7 @@ class ConstantStimuliParameters(CheckedTogether):
     axis: Literal["linear", "logarithmic"] = "linear"
 
     def cross_faults(self) -> list[str]:
-        """Return the faults that concern several keys."""
+        """Return conflicts between the parameters of constant stimuli."""
         faults = []
         if len(set(self.levels)) < len(self.levels):
             faults.append("levels must be different from each other")
@@ -68,7 +68,7 @@ class ConstantStimuli(BaseProcedure[ConstantStimuliParameters]):
         self.order: list[float] = [float(each) for block in blocks for each in block]
 
     def level(self) -> float | None:
-        """Return the next level of the order, None at its end."""
+        """Return the next level in the shuffled order of levels, None at the end of the order."""
         return self.order[len(self.answers)] if len(self.answers) < len(self.order) else None
 
     def estimate(self) -> Estimate:

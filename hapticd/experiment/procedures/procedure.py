@@ -66,7 +66,10 @@ class Procedure(Protocol):
 
 
 def answers_of(state: Json) -> tuple[Json, list[Answer]]:
-    """Return parameters as plain data, and the answers of a state. Raises ProcedureError for an invalid one."""
+    """Return the parameters (plain data) and the answers in a procedure's state.
+
+    Raises ProcedureError for an invalid one.
+    """
     if not isinstance(state, dict) or set(state) != {"parameters", "answers"} or not isinstance(state["answers"], list):
         raise ProcedureError("state of a procedure: must be a mapping of parameters and answers")
     answers = []
@@ -80,7 +83,7 @@ def answers_of(state: Json) -> tuple[Json, list[Answer]]:
 
 
 def check_level(given: float, expected: float | None) -> float:
-    """Return the expected level. Raises ProcedureError if the given one differs, or if none is expected."""
+    """Return the level that a procedure expects next. Raises ProcedureError if `given` differs, or after its end."""
     if expected is None:
         raise ProcedureError("the procedure has ended: no more answers are accepted")
     if abs(given - expected) > LEVEL_TOLERANCE * max(abs(expected), abs(given)):
@@ -133,9 +136,9 @@ class BaseProcedure(ABC, Generic[P]):
         return made
 
     def _due(self, given: float) -> float:
-        """Return the expected level. Raises ProcedureError if the given one differs."""
+        """Return the next level of the procedure. Raises ProcedureError if the level `given` differs from it."""
         return check_level(given, self.level())
 
     @abstractmethod
     def _take(self, shown: float, positive: bool) -> None:
-        """Store an answer and update the next level."""
+        """Store the answer to the level `shown`, and update the next level."""

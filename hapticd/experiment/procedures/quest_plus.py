@@ -40,7 +40,7 @@ class LevelGrid(CheckedTogether):
     axis: Literal["linear", "logarithmic"] = "linear"
 
     def cross_faults(self) -> list[str]:
-        """Return the faults that concern several keys."""
+        """Return conflicts between `least`, `most` and `axis`."""
         faults = []
         if not self.least < self.most:
             faults.append(f"least ({self.least:g}) must be less than most ({self.most:g})")
@@ -50,7 +50,7 @@ class LevelGrid(CheckedTogether):
 
     @property
     def values(self) -> Floats:
-        """The values, in rising order."""
+        """The values of the grid, in rising order."""
         space = np.geomspace if self.axis == "logarithmic" else np.linspace
         return np.asarray(space(self.least, self.most, self.count), dtype=float)
 
@@ -91,7 +91,7 @@ class QuestPlusParameters(CheckedTogether):
     """The procedure also ends if half the 95 % interval of the threshold is at most this fraction of the threshold."""
 
     def cross_faults(self) -> list[str]:
-        """Return the faults that concern several keys."""
+        """Return conflicts between the parameters of QUEST+."""
         faults = []
         axes = [np.array(self.levels), self.threshold_values, np.array(self.slopes)]
         for name, values in zip(("levels", "thresholds", "slopes"), axes, strict=True):
@@ -117,7 +117,7 @@ class QuestPlusParameters(CheckedTogether):
 
     @property
     def threshold_values(self) -> Floats:
-        """Thresholds of the grid."""
+        """Thresholds of the grid of the prior: `thresholds`, else `levels`."""
         return np.array(self.levels if self.thresholds is None else self.thresholds, dtype=float)
 
 
@@ -152,7 +152,7 @@ class QuestPlus(BaseProcedure[QuestPlusParameters]):
         return found.reshape(len(self.levels), -1)
 
     def level(self) -> float | None:
-        """Return the level with the least expected entropy, None at the end."""
+        """Return the level with the least expected entropy, None if the procedure has ended."""
         given = self.parameters
         if len(self.answers) >= given.trials or (given.precision is not None and self._precise(given.precision)):
             return None
@@ -174,7 +174,7 @@ class QuestPlus(BaseProcedure[QuestPlusParameters]):
         return found.high - found.low <= 2 * precision * abs(found.threshold)
 
     def _due(self, given: float) -> float:
-        """Accept any level, also at the end; `_take` refuses those that are not in the list."""
+        """Return `given`, any level, also at the end; `_take` refuses levels that are not in the list."""
         return given
 
     def _take(self, shown: float, positive: bool) -> None:

@@ -80,7 +80,7 @@ class StaircaseParameters(CheckedTogether):
     shape: Shape = "logistic"
 
     def cross_faults(self) -> list[str]:
-        """Return the faults that concern several keys."""
+        """Return conflicts between the parameters of a staircase."""
         faults = []
         if not self.least < self.most:
             faults.append(f"least ({self.least:g}) must be less than most ({self.most:g})")
@@ -128,12 +128,15 @@ class Staircase(BaseProcedure[StaircaseParameters]):
         self._towards_harder: bool | None = None
 
     def level(self) -> float | None:
-        """Return the next level, None after all reversals or trials."""
+        """Return the next level of the staircase, None after all reversals or trials."""
         ended = len(self.reversals) >= self.parameters.reversals or len(self.answers) >= self.parameters.trials
         return None if ended else self._level
 
     def reversal_mean(self) -> float | None:
-        """Return the mean of the reversals except the discarded ones, geometric on a logarithmic axis, or None."""
+        """Return the mean level of the reversals (changes of direction), or None without reversals.
+
+        The first `discard` reversals are excluded. The mean is geometric on a logarithmic axis.
+        """
         kept = self.reversals[self.parameters.discard :]
         if not kept:
             return None
@@ -141,7 +144,10 @@ class Staircase(BaseProcedure[StaircaseParameters]):
         return float(level(axis(np.array(kept), on_log).mean(keepdims=True), on_log)[0])
 
     def estimate(self) -> Estimate:
-        """Return the level of the target proportion. Raises ProcedureError without answers."""
+        """Return the threshold, the level at which the target proportion is positive.
+
+        Raises ProcedureError without answers.
+        """
         if not self.answers:
             raise ProcedureError("no threshold: the staircase has no answers yet")
         given = self.parameters
