@@ -36,7 +36,7 @@ _MAX_NAMED_STIMULI: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class CellCount:
-    """Number of trials of the test in one cell; for a procedure the largest possible number."""
+    """Number of trials of the test in one cell; for an adaptive procedure the largest possible number."""
 
     condition: str
     cell: str

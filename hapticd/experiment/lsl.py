@@ -104,7 +104,7 @@ def matrix_of(batch: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
 
 
 class Outlets:
-    """The outlets of samples and of event codes; a context manager that closes them."""
+    """The LSL outlets (streams) of samples and of event codes; a context manager that closes them."""
 
     def __init__(self, status: Status, directory: str) -> None:
         """Open the outlets of the daemon whose status is `status` and whose sockets are in `directory`.

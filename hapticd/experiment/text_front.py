@@ -149,7 +149,7 @@ class TextFront:
         return self._wait_for_enter("Press Enter to switch the forces on.")
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Ask to withdraw the handle, and wait until it is clear of the objects."""
+        """Ask the participant to withdraw the handle, and wait until the handle is clear of the objects."""
         self._say("Move the stylus away from all surfaces. Then the forces are switched on.")
         with self._keys.single():
             while not stage.is_clear():

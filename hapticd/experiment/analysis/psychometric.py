@@ -116,7 +116,7 @@ class PsychometricFit:
 
     @property
     def as_steep_as_levels_show(self) -> bool:
-        """Whether the slope is at its upper bound, which the smallest distance of two levels sets."""
+        """Whether the fitted slope is at its upper bound, which the smallest distance of two levels sets."""
         return bool(self.parameters[SLOPE] >= self.box.high[SLOPE])
 
     def probability(self, levels: Floats) -> Floats:

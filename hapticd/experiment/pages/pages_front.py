@@ -146,7 +146,7 @@ class PagesFront:
         self._inbox.put(command)
 
     def answer(self, screen: int, value: object) -> None:
-        """Receive an answer. It has no effect if it is to an earlier screen. Raises ValueError if it is invalid."""
+        """Receive an answer, which has no effect if it is to an earlier screen. Raises ValueError if it is invalid."""
         with self._lock:
             shown, current = self._shown, self._screen
         if shown is None or current["screen"] != screen or current.get("question") is None:
@@ -278,7 +278,7 @@ class PagesFront:
                 setattr(self._console, name, value)
 
     def _show_felt(self, shown: Shown, interval: int, asks: bool) -> None:
-        """Show a trial whose forces are on. If it is shown already, its screen and time limit are unchanged."""
+        """Show a trial whose forces are on. If the trial is shown already, its screen and time limit are unchanged."""
         screen = self._screen
         same = screen.get("felt") and (screen["interval"], screen["question"] is not None) == (interval, asks)
         if self._shown is shown and same:
@@ -357,9 +357,10 @@ class PagesFront:
     def _wait(
         self, accept: Callable[[_PageMessage], Any], stage: Stage | None = None, deadline: float = math.inf
     ) -> Any | Command | None:
-        """Wait for a page's message about the current screen. Return the result of `accept`, a command, or None at the deadline.
+        """Wait for a page's message about the current screen.
 
-        With a `stage` the forces are on: the stage is checked, and a closed page causes a pause.
+        Returns the result of `accept`, a command, or None at the deadline. With a `stage` the forces are on:
+        `stage.check` is called, and a closed page causes a pause.
         """
         number, next_check_s = self.screen["screen"], 0.0
         while (left_s := deadline - time.monotonic()) > 0:

@@ -19,7 +19,7 @@ _SWEEP_INTERVAL_S: Final = 0.25
 
 
 class Presence:
-    """The presence of the pages of one kind. Use it in the event loop only."""
+    """The open and responding pages of one kind, participant's or experimenter's; for use in the event loop only."""
 
     def __init__(
         self,

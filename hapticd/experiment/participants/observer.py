@@ -148,7 +148,7 @@ def hardness(felt: Samples, surface: Seen) -> float:
 
 
 def onsets(force: Floats, window: int) -> list[int]:
-    """Return the indices at which a force (n,) becomes felt after a window of samples in which it was not."""
+    """Return the onsets: indices at which a force (n,) becomes felt after `window` samples in which it was not."""
     over = np.abs(force) > MIN_FELT_FORCE_N
     found, quiet = [], window
     for at in np.flatnonzero(np.diff(over.astype(np.int8)) == 1) + 1:
