@@ -1,4 +1,4 @@
-"""A renderer of trials on a running daemon: holds the lease (right to use forces), replaces scenes, records samples."""
+"""The stage (renderer) for trials on a running daemon: it takes the lease, replaces scenes and records telemetry."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hapticd.protocol.results import Event
 from hapticd.recording.recording import load
 
 RUNNER_LEASE_S: Final = 3.0
-"""Duration of the runner's lease (right to use forces). If the runner hangs or is killed, the forces fade out after it."""
+"""Duration of the runner's lease (right to use forces). They fade out this long after the runner hangs or dies."""
 TELEMETRY_LAG_TIMEOUT_S: Final = 20.0
 """Longest wait for the telemetry of a trial after its end. If it takes longer, the machine is too busy."""
 FADE_TIMEOUT_S: Final = 5.0
