@@ -48,7 +48,7 @@ class _Puncture:
     """A fitted recording of one puncture, with its warnings."""
 
     def __init__(self, recording: Recording) -> None:
-        """Fit the puncture; raise FitError if there is no puncture or it cannot be fitted."""
+        """Fit the puncture; raise FitError if the recording has no puncture that can be fitted."""
         self._kept = preparation.without_invalid_samples(recording, "puncture")
         self.warnings = Warnings()
         preparation.report_cleaning([self._kept], self.warnings)
@@ -393,7 +393,7 @@ def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rup
 
 
 def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, warnings: Warnings) -> Estimate | None:
-    """Return the slope of the amplitude with speed, or None for fewer than four punctures or nearly equal speeds.
+    """Return the slope of ringing amplitude with speed, or None for fewer than four punctures or nearly equal speeds.
 
     The material has no such slope, so a significant one downgrades the verdict.
     """
