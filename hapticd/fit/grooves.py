@@ -146,7 +146,7 @@ def row_of(position: Floats) -> Row:
 
 
 def _slope_of_row(number: Ints, position: Floats) -> float:
-    """Return the spacing by least squares; it is negative if the positions fall as the numbers rise."""
+    """Return the spacing of the grooves by least squares; it is negative if the positions fall as the numbers rise."""
     centred = number - number.mean()
     square = float(centred @ centred)
     return float(centred @ position) / square if square > 0 else 0.0
@@ -359,7 +359,7 @@ class StrokeFit:
         return np.interp(onsets, self._time_s, self.stroke.position)
 
     def _unevenness_of(self, onsets: Floats) -> float:
-        """Return the RMS distance of these onsets from a regular row, as a fraction of its spacing."""
+        """Return the RMS distance of the strikes at these onsets from a regular row, as a fraction of its spacing."""
         position = self._positions(onsets)
         return row_of(position).unevenness(position)
 
@@ -643,7 +643,7 @@ class GroovesFit(Fit):
     correlation: float
     """Correlation of measured and predicted amplitudes."""
     offset_m_per_s2: Estimate | None
-    """Constant of a law of two gains plus a constant; None if speed and force vary too little to separate it."""
+    """Constant of a law of two gains plus a constant; None if it cannot be separated from the gains."""
     frequency_per_speed_hz_s_per_m: Estimate | None
     frequency_per_force_hz_per_n: Estimate | None
     variance_accounted_for: float

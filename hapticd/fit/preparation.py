@@ -425,7 +425,7 @@ def force_of(recording: Recording) -> Floats:
 
 
 def pressing_force(recording: Recording) -> Floats:
-    """Return the force, N; raise UnitError if it is mostly negative or oscillates about 0."""
+    """Return the force, N; raise UnitError if the force is mostly negative or oscillates about 0."""
     values = force_of(recording)
     if np.median(values) < 0:
         raise UnitError(f"{recording.name}: the force is mostly negative: pressing must be positive (scale -1?)")

@@ -112,7 +112,7 @@ class Power:
     points: Amplitudes
     """Points of the law for the material, which interpolates linearly between them."""
     off: float
-    """Largest error of this interpolation between the first point and the last, as a fraction of the law."""
+    """Largest error of linear interpolation between the first point and the last, as a fraction of the law."""
 
     def to_dict(self) -> dict[str, Json]:
         """Return the law as plain data for JSON."""

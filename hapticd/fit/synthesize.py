@@ -133,7 +133,7 @@ def taps(
 
 
 def _tap_position(since_s: Floats, speed_m_per_s: float) -> Floats:
-    """Return the position: at rest, moving to the surface at constant speed, at rest there, and moving back."""
+    """Return the stylus's position: at rest, moving to the surface at constant speed, at rest there, moving back."""
     away_m = speed_m_per_s * SYNTHETIC_APPROACH_S
     return np.asarray(
         np.interp(

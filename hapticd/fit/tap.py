@@ -869,7 +869,7 @@ class TapFit(Fit):
 
     taps: tuple[TapHit, ...]
     slope_per_s: Estimate
-    """Slope of the coefficient A with speed, for `attack: coefficient`."""
+    """Slope of the mode's coefficient versus approach speed, for `attack: coefficient`."""
     first_peak_slope_per_s: Estimate
     """Slope of the largest acceleration of the first cycle with speed, for `attack: first_peak`."""
     frequency_hz: Estimate

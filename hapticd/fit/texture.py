@@ -177,7 +177,7 @@ def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
 
 
 def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail | None]:
-    """Return the frequency at which the mean spectrum falls to 0.3 of the sensor's noise, and the tail beyond it."""
+    """Return the frequency where the mean spectrum falls to 0.3 of the sensor's noise, and the extrapolation above."""
     smooth = smoothed(shape, max(1, round(25 / frequency[1])))
     peak = int(np.argmax(smooth))
     below = np.flatnonzero(smooth[peak:] < 0.3 * floor)
@@ -503,7 +503,7 @@ class ArModel:
     coefficients: tuple[float, ...]
     rms_m_per_s2: float
     rms_error_db: float
-    """Difference between its spectrum and the recorded one, from `spectral_distance_db`."""
+    """Difference between the model's spectrum and the recorded one, from `spectral_distance_db`."""
 
 
 def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:

@@ -43,7 +43,7 @@ class Pulse:
     begin_s: float
     """Time of the first sample, on the recording's clock."""
     onset_s: float
-    """Onset after the first sample."""
+    """Time of the onset after the first sample."""
     speed_m_per_s: float
     rate_hz: float
     measured: Floats
@@ -242,9 +242,9 @@ class Shape:
     pulses: tuple[Pulse, ...]
     fitted: tuple[FittedPulse, ...]
     rate_hz: float
-    """Rate of the samples."""
+    """Sampling rate of the waveform."""
     samples: Floats
-    """(count,)."""
+    """Samples (count,) of the waveform."""
 
     @classmethod
     def of(
@@ -451,7 +451,7 @@ class WaveformFit(Fit):
     amplitudes: Amplitudes
     """Table of rising speeds, m/s, and amplitudes, m/s^2. Empty if the law is a line."""
     rate_hz: float
-    """Rate of the samples."""
+    """Sampling rate of the waveform."""
     samples: tuple[float, ...]
     """Samples of the curve, whose largest magnitude is 1."""
     deviations: tuple[float, ...]

@@ -57,7 +57,7 @@ class Burst:
     force_n: float
     """Coefficient of the mode as a force, negative if struck in the negative direction of the axis."""
     begin: int
-    """First servo period."""
+    """First servo period of the burst."""
     end: int
     """First servo period after the burst."""
 
