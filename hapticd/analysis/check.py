@@ -55,7 +55,7 @@ _LINK_UNKNOWN_TEXT: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Vibration:
-    """A mode, the waveform or the texture of a material, as configured and as displayed."""
+    """A vibration of a material (mode, waveform or texture), as configured and as displayed."""
 
     use: Use
     frequency_hz: float

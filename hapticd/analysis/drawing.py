@@ -44,7 +44,7 @@ def literal(text: str) -> str:
 
 @contextmanager
 def drawing(settings: Mapping[str, Any], salt: str, page_colors: bool = False) -> Iterator[None]:
-    """Apply settings of matplotlib while drawing; with the same `salt`, the same figure yields the same SVG text.
+    """Apply settings of matplotlib in a `with` statement; with an equal `salt`, equal figures yield equal SVG text.
 
     With `page_colors`, text, frames and ticks have the text color of the page, and the background is transparent.
     """

@@ -63,7 +63,7 @@ class Estimate:
         return cls(float(value), float(value - reach), float(value + reach))
 
     def mapped(self, function: Callable[[float], float]) -> Estimate:
-        """Return the estimate of a function of the value, which must be monotonic within the interval."""
+        """Return the estimate of `function` of the value; the function must be monotonic within the interval."""
         low, high = sorted((function(self.low), function(self.high)))
         return Estimate(function(self.value), low, high)
 
@@ -79,7 +79,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """A linear model: y = sum of coefficients times columns."""
+    """A linear model, y = sum of coefficients times columns, fitted by least squares."""
 
     coefficients: tuple[Estimate, ...]
     r_squared: float
@@ -211,7 +211,7 @@ def _correlation(one: Floats, other: Floats) -> float:
 
 
 def _scatter(columns: Floats, y: Floats, own: Floats, ratios: Floats) -> float:
-    """Return the mean variance of the scatter in addition to the measurement variances `own`."""
+    """Return the mean variance of the additional scatter of points whose measurement variances are `own`."""
     freedom = len(y) - columns.shape[1]
 
     def squares(scatter: float) -> float:
@@ -297,7 +297,7 @@ def robust(columns: Floats, y: Floats, shifts: Floats | None = None, grows: bool
 
 
 def _spread(off: Floats, count: int, unknowns: int) -> float:
-    """Return the standard deviation from the median absolute residual, corrected for the number of unknowns."""
+    """Return the standard deviation of residuals from their median magnitude, corrected for the number of unknowns."""
     usual = 1.4826 * float(np.median(np.abs(off))) * math.sqrt(count / (count - unknowns))
     return usual or float(np.sqrt(np.mean(off**2))) or 1.0
 

@@ -33,7 +33,7 @@ Step: TypeAlias = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A fit, and the keys of the material that come from it."""
+    """A fit, and the material's keys that it determines."""
 
     fit: Fit
     figures: Mapping[str, object]
@@ -152,7 +152,7 @@ def fit_taps(
 ) -> TapFit | WaveformFit:
     """Fit the taps of one material by modes or by a waveform; `progress` and `excluded` are those of fit_tap.
 
-    Raises FitError (one line) if the recordings support neither fit; the error is then that of the modes.
+    Raises FitError (one line) if the recordings support neither fit; the error is then that of the fit by modes.
     """
     require_scipy()
     refuse_duplicates(recordings)

@@ -54,7 +54,7 @@ def _loudest_frequency(acceleration: Floats, rate_hz: float) -> float:
 
 
 def _ringing_steps(acceleration: Floats, rate_hz: float, mode: Mode) -> Complexes:
-    """Return the step of z at each sample (n,): z in the window after the sample less z in the window before."""
+    """Return the step of the ringing's complex amplitude z at each sample (n,): z after the sample less z before."""
     from scipy.signal import fftconvolve
 
     length = max(6, round(GROOVE_LIMITS.window_cycles * rate_hz / mode.frequency_hz))
@@ -87,8 +87,8 @@ def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
 def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
     """Return the sorted sample indices of the strikes: each is found and subtracted in turn, the largest first.
 
-    `step` is the step of z at each sample, `unit` that of a strike of amplitude 1. The distance of two strikes
-    exceeds `reach` samples.
+    `step` is the step of the ringing's complex amplitude at each sample, `unit` that of a strike of amplitude 1. The
+    distance of two strikes exceeds `reach` samples.
     """
     left = step.copy()
     middle = len(unit) // 2
@@ -146,7 +146,7 @@ def row_of(position: Floats) -> Row:
 
 
 def _slope_of_row(number: Ints, position: Floats) -> float:
-    """Return the spacing by least squares; it is negative if the positions fall as the numbers rise."""
+    """Return the spacing of the grooves by least squares; it is negative if the positions fall as the numbers rise."""
     centred = number - number.mean()
     square = float(centred @ centred)
     return float(centred @ position) / square if square > 0 else 0.0
@@ -164,8 +164,8 @@ def _by_step(position: Floats, spacing: float) -> Row:
 def _by_position(position: Floats, usual: float) -> Row:
     """Return the row with its grooves numbered by position.
 
-    At its spacing, 0.5 to 2.5 times the `usual` distance of strikes, the phases of the strikes agree best. They agree
-    as well at half that spacing, so the largest such spacing is taken.
+    The spacing is 0.5 to 2.5 times the `usual` distance of strikes, where the strikes' phases agree best. The phases
+    agree as well at half the true spacing, so the largest such spacing is taken.
     """
     few = position[:300]
     waves = np.arange(0.4 / usual, 2.0 / usual, 0.2 / max(float(np.ptp(few)), usual))
@@ -195,8 +195,8 @@ def _by_position(position: Floats, usual: float) -> Row:
 class _FreeRinging:
     """Intervals of free ringing, fitted in parallel: arrays (intervals, samples), 0 beyond the end of an interval.
 
-    Each interval is Im(z exp((-B + i w) t)) plus a drift, which is a level and a slope. For given B and w, z and drift
-    of each interval are a separate linear fit.
+    Each interval is Im(z exp((-B + i w) t)) plus a drift (level and slope), with the complex amplitude z, decay rate B
+    and angular frequency w. For given B and w, z and drift of each interval are a separate linear fit.
     """
 
     def __init__(
@@ -227,7 +227,7 @@ class _FreeRinging:
         return values
 
     def solved(self, mode: Mode) -> tuple[Complexes, Floats]:
-        """Return z at each onset, and the residual (intervals, samples)."""
+        """Return the complex amplitude of the ringing at each onset, and the residual (intervals, samples)."""
         pole = _pole(mode)
         turned = np.exp(pole * self._first_s)[:, None] * np.exp(pole * self._since_s) * self.held
         sine, cosine = self._less_drift(turned.imag), self._less_drift(turned.real)
@@ -246,7 +246,7 @@ def _products(one: Floats, other: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Strike:
-    """One passed groove: time, position, speed, force, and amplitude A of its ringing."""
+    """One passed groove: time, position, speed, force, and amplitude of its ringing."""
 
     recording: str
     time_s: float
@@ -359,12 +359,12 @@ class StrokeFit:
         return np.interp(onsets, self._time_s, self.stroke.position)
 
     def _unevenness_of(self, onsets: Floats) -> float:
-        """Return the RMS distance of these onsets from a regular row, as a fraction of its spacing."""
+        """Return the RMS distance of the strikes at these onsets from a regular row, as a fraction of its spacing."""
         position = self._positions(onsets)
         return row_of(position).unevenness(position)
 
     def _found(self, mode: Mode) -> Floats:
-        """Find the strikes, which are steps of z while the stylus moves; return their sorted times, s."""
+        """Return the sorted times, s, of strikes: steps of the ringing's complex amplitude during motion."""
         step = _ringing_steps(self._seen, self._rate_hz, mode).real
         noise = 1.4826 * float(np.median(np.abs(step)))
         reach = max(2, round(0.5 * self._rate_hz / mode.frequency_hz))
@@ -374,7 +374,7 @@ class StrokeFit:
         return np.asarray(kept[moving[kept] > 0.1 * np.percentile(moving, 90)] / self._rate_hz)
 
     def _regular(self, mode: Mode, onsets: Floats) -> Floats:
-        """Return the onsets that are at equal distances along the surface; raise FitError if most are not."""
+        """Return the strikes' onsets that are at equal distances along the surface; raise FitError if most are not."""
         position = self._positions(onsets)
         row = row_of(position)
         number, off = row.number, np.abs(row.offsets(position))
@@ -435,7 +435,7 @@ class StrokeFit:
         return _FreeRinging(self._seen, self._rate_hz, low[part], high[part], onsets[part], mode)
 
     def _jumps(self, mode: Mode, onsets: Floats) -> tuple[Complexes, Bools]:
-        """Return the step in z at each strike, and whether it has a fitted ringing on either side."""
+        """Return the step of complex amplitude at each strike, and whether the ringing on both sides was fitted."""
         windows = self._windows(mode, onsets)
         z = np.zeros(len(onsets), dtype=np.complex128)
         complete = np.zeros(len(onsets), dtype=np.bool_)
@@ -455,7 +455,7 @@ class StrokeFit:
         return float(np.sum(windows.solved(self._refined(mode, windows))[1] ** 2))
 
     def _searched(self, mode: Mode, onsets: Floats, wide: bool = False) -> Mode:
-        """Return the best of a grid of modes about this one; with `wide`, the grid has more frequencies."""
+        """Return the best of a grid of modes about `mode`; with `wide`, the grid has more frequencies."""
         w = mode.angular_frequency_rad_per_s
         reach = min(0.3 * w, 2 * math.pi / float(np.median(np.diff(onsets))))
         windows = self._windows(Mode(0.05 * w, w), onsets[: 2 * GROOVE_LIMITS.strikes_in_group])
@@ -469,7 +469,7 @@ class StrokeFit:
         return min(tried, key=lambda each: float(np.sum(windows.solved(each)[1] ** 2)))
 
     def _refined(self, mode: Mode, windows: _FreeRinging) -> Mode:
-        """Return the mode refined by least squares in log B and log w over these intervals.
+        """Return the mode refined by least squares in log decay rate and log frequency over these intervals.
 
         The intervals stay the same while the mode changes, so that sums of squares are comparable. Raises FitError if
         all intervals are too short.
@@ -487,7 +487,7 @@ class StrokeFit:
         return Mode(math.exp(found[0]), math.exp(found[1]))
 
     def _check_rings(self, windows: _FreeRinging) -> None:
-        """Raise FitError if all intervals are too short."""
+        """Raise FitError if all intervals between strikes are too short to fit the ringing."""
         if len(windows.used) == 0:
             raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
 
@@ -503,13 +503,13 @@ class StrokeFit:
         return found
 
     def _moved(self, onsets: Floats) -> tuple[Floats, Floats]:
-        """Return speed and force at each onset."""
+        """Return the stylus's speed and force at each strike's onset."""
         columns = (self.stroke.speed, self._force_n)
         speed, force = (np.interp(onsets, self._time_s, column) for column in columns)
         return speed, force
 
     def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
-        """Return the amplitude of each strike, positive along the motion, and whether it has ringing on both sides."""
+        """Return each strike's amplitude, positive along the motion, and whether both sides' ringing was fitted."""
         jump, complete = self._jumps(mode, self._onsets)
         # Strikes near replaced samples are not used.
         at = np.round(self._onsets * self._rate_hz).astype(np.int64)
@@ -529,7 +529,7 @@ class StrokeFit:
         return [Strike(self.name, *map(float, each)) for each in figures]
 
     def shifts(self, mode: Mode) -> Floats:
-        """Return the changes (2, strikes) of the amplitudes if frequency, or decay rate, rises by a standard error."""
+        """Return the changes (2, strikes) of strike amplitudes if frequency or decay rate rises by a standard error."""
         size, complete = self._sizes(mode)
         found = np.zeros((2, int(np.count_nonzero(complete))))
         count = len(self.groups)
@@ -559,7 +559,7 @@ class StrokeFit:
 
 
 def _late(jump: Complexes, mode: Mode) -> Floats:
-    """Return the delays (n,), s, of strikes of either sign after their assumed times."""
+    """Return the delays (n,), s, of strikes of either sign after their assumed times, from the phases of `jump`."""
     return np.asarray(-np.angle(np.where(jump.real < 0, -jump, jump)) / mode.angular_frequency_rad_per_s)
 
 
@@ -569,7 +569,7 @@ def _late(jump: Complexes, mode: Mode) -> Floats:
 def _gains(
     columns: Floats, amplitude: Floats, shifts: Floats, law: Robust, warnings: Warnings
 ) -> tuple[list[Estimate], float]:
-    """Return the gains of speed and of force, which are at least 0, and the correlation of the law.
+    """Return the gains of speed and of force, which are at least 0, and the correlation of the law with the data.
 
     `columns` are speed and force (n, 2), `shifts` are from StrokeFit.shifts, `law` is the fit with gains of any sign.
     Raises FitError if a gain is significantly negative.
@@ -621,7 +621,7 @@ def _spacing(fits: Sequence[StrokeFit]) -> Estimate:
 
 
 def _mean_mode(groups: Sequence[Group]) -> Mode:
-    """Return the mean mode of one stroke."""
+    """Return the mean mode of the groups of one stroke's strikes."""
     return Mode(
         1 / float(np.mean([group.mode.decay_time_s for group in groups])),
         float(np.mean([group.mode.angular_frequency_rad_per_s for group in groups])),
@@ -643,7 +643,7 @@ class GroovesFit(Fit):
     correlation: float
     """Correlation of measured and predicted amplitudes."""
     offset_m_per_s2: Estimate | None
-    """Constant of a law of two gains plus a constant; None if speed and force vary too little to separate it."""
+    """Constant of a law of two gains plus a constant; None if it cannot be separated from the gains."""
     frequency_per_speed_hz_s_per_m: Estimate | None
     frequency_per_force_hz_per_n: Estimate | None
     variance_accounted_for: float

@@ -74,7 +74,7 @@ def density(values: Floats, rate_hz: float, segment: int = 4096) -> tuple[Floats
 
 
 def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
-    """Return pictures of recording and model over time, of the residual, and of the spectra of all three.
+    """Return pictures of recording, model and residual over time, and of their spectra.
 
     `model` is NaN where nothing was fitted. The spectra are of its longest section without NaN. The pictures over time
     show 150 ms around this section.
@@ -98,7 +98,7 @@ def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
 
 
 def law(title: str, x_label: str, x: Floats, y: Floats, gain: Estimate) -> Panel:
-    """Return a picture of amplitudes versus speed or force, and the line through the origin with its interval."""
+    """Return a picture of amplitudes versus speed or force, and the fitted line through 0 with its interval."""
     ends = np.linspace(0.0, 1.05 * float(np.max(x)), 50)
     dots = Curve("recorded", x, y, points=True)
     line = Curve("model", ends, gain.value * ends, low=gain.low * ends, high=gain.high * ends)
@@ -159,7 +159,7 @@ def _ringing(fit: TapFit) -> Row:
     curves = (*lines.curves, offset) if fit.linear else (*lines.curves, offset, _table(fit.amplitudes))
 
     def less(curve: Curve) -> Curve:
-        """Return the curve minus the fitted line through the origin."""
+        """Return the curve of amplitudes minus the fitted line through the origin."""
         there = fit.slope_per_s.value * curve.x
         low, high = (None if end is None else end - there for end in (curve.low, curve.high))
         return dataclasses.replace(curve, y=curve.y - there, low=low, high=high)
@@ -182,7 +182,7 @@ def _columns(events: Sequence[object], *names: str) -> tuple[Floats, ...]:
 
 
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    """Yield pictures of excluded events and parts: where they are in partly used recordings, the first in detail."""
+    """Yield pictures of partly used recordings with their excluded events and parts, the first of these in detail."""
     seen = {each.name: each for each in recordings if each.acceleration_m_per_s2 is not None}
     excluded: list[Exclusion] = [each for each in fit.left_out if each.recording in seen]
     if not excluded:
@@ -277,7 +277,7 @@ def _power(recording: Recording, texture: Stochastic | Autoregressive) -> Row:
 
 
 def _is_complete(recording: Recording) -> bool:
-    """Return whether a stroke has acceleration, force and speed."""
+    """Return whether the recording of a stroke has acceleration, force and speed."""
     moves = recording.tangential_position_m is not None or recording.speed_m_per_s is not None
     return recording.acceleration_m_per_s2 is not None and recording.force_n is not None and moves
 

@@ -65,7 +65,7 @@ class Cleaned:
 def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
     """Return the recording with its impossible samples interpolated linearly, for a fit of this kind.
 
-    Raises FitError if there are too many.
+    Raises FitError if too many samples are impossible.
     """
     columns = _columns(recording)
     count = max((each.size for each in columns.values()), default=0)
@@ -93,7 +93,7 @@ def _columns(recording: Recording) -> dict[str, Floats]:
 
 
 def report_cleaning(kept: Sequence[Cleaned], warnings: Warnings) -> None:
-    """Add the warnings of these recordings; downgrade the verdict if many samples were replaced."""
+    """Add the warnings about replaced samples; downgrade the verdict if many samples were replaced."""
     warnings.lines += [line for each in kept for line in each.warnings]
     count = sum(each.replaced.size for each in kept)
     part = sum(int(np.count_nonzero(each.replaced)) for each in kept) / max(1, count)
@@ -101,7 +101,7 @@ def report_cleaning(kept: Sequence[Cleaned], warnings: Warnings) -> None:
 
 
 class _Column:
-    """One column while its impossible samples are replaced."""
+    """One column of a recording while its impossible samples are replaced."""
 
     def __init__(self, file: str, name: str, values: Floats, rate_hz: float) -> None:
         self.values = values
@@ -147,7 +147,7 @@ class _Column:
     def _replace_beyond(self, limit: float, question: str) -> None:
         """Replace samples whose magnitude is above `limit`, and samples that are not finite.
 
-        Raises UnitError with the `question` if there are many.
+        Raises UnitError with the `question` if many samples are above.
         """
         # A comparison with NaN is false.
         over = ~(np.abs(self.values) <= limit) | ~np.isfinite(self.values)
@@ -216,7 +216,7 @@ class _Column:
         self._replace_leaping(found)
 
     def _replace_stuck(self) -> None:
-        """Replace standstills that are much longer than others, except those at 0 at either end (no contact)."""
+        """Replace standstills (equal values) much longer than others, except those at 0 at either end (no contact)."""
         edges = np.flatnonzero(np.diff(self.values)) + 1
         starts, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(self.values)]))
         runs = ends - starts
@@ -238,7 +238,7 @@ class _Column:
         self._replace(found, f"{self._what} stands still at {value} {where}{_as_in_others(found)}")
 
     def _take_leaps_out(self, fastest: float) -> None:
-        """Remove leaps of a position from one sample to the next.
+        """Remove leaps (jumps from one sample to the next) of a position.
 
         A leap is far larger than the largest usual step, and either larger than the steps next to it or faster than
         `fastest`, in m/s. If the position returns within 20 ms, the samples until then are replaced as a spike.
@@ -349,7 +349,7 @@ def sections_of(recordings: Sequence[Recording], least_s: float, excluded: Exclu
 def complete_sections(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
     """Return the recording, or its sections of at least `least_s` without gaps and clipped samples, as recordings.
 
-    The rest is added to `excluded`. Raises FitError if too much is left out.
+    The other parts are added to `excluded`. Raises FitError if too much is left out.
     """
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     columns = _columns(recording)
@@ -425,7 +425,7 @@ def force_of(recording: Recording) -> Floats:
 
 
 def pressing_force(recording: Recording) -> Floats:
-    """Return the force, N; raise UnitError if it is mostly negative or oscillates about 0."""
+    """Return the force, N; raise UnitError if the force is mostly negative or oscillates about 0."""
     values = force_of(recording)
     if np.median(values) < 0:
         raise UnitError(f"{recording.name}: the force is mostly negative: pressing must be positive (scale -1?)")
@@ -527,7 +527,7 @@ def undersampled(rate_hz: float, frequency_hz: float, least: float = PREPARATION
 
 
 def report_sampling(recordings: Sequence[Recording], frequency_hz: float, warnings: Warnings) -> None:
-    """Downgrade the verdict if the recording with the lowest rate has few samples in a cycle."""
+    """Downgrade the verdict if the lowest sampling rate gives few samples in a cycle of `frequency_hz`."""
     slowest = min(recording.rate_hz for recording in recordings)
     warnings.check("samples in a cycle", slowest / frequency_hz, rate_hz=slowest, hz=frequency_hz)
 
@@ -560,7 +560,7 @@ def stroke_of(recording: Recording, kind: Kind) -> Stroke:
 def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
     """Return position and speed, from the tangential position or the speed.
 
-    Raises FitError if there is neither, or if they disagree.
+    Raises FitError if neither was recorded, or if both disagree.
     """
     name, position = recording.name, recording.tangential_position_m
     column: Floats | None = None
@@ -610,7 +610,7 @@ def _refuse_speed(recording: Recording, speed: Floats) -> None:
 
 
 def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:
-    """Return the slope, per second, of a line fitted to the window about each sample; the ends have shorter ones."""
+    """Return the slope, per second, of a line fitted to the window about each sample, shorter at the ends."""
     count = len(values)
     half = min(max(1, round(window_s * rate_hz / 2)), (count - 1) // 2)
     centred = values - values[count // 2]

@@ -48,7 +48,7 @@ class _Puncture:
     """A fitted recording of one puncture, with its warnings."""
 
     def __init__(self, recording: Recording) -> None:
-        """Fit the puncture; raise FitError if there is no puncture or it cannot be fitted."""
+        """Fit the puncture; raise FitError if the recording has no puncture that can be fitted."""
         self._kept = preparation.without_invalid_samples(recording, "puncture")
         self.warnings = Warnings()
         preparation.report_cleaning([self._kept], self.warnings)
@@ -136,8 +136,8 @@ class _Puncture:
     def _check_touch(self) -> None:
         """Add a warning if the membrane is softer at first than the fitted line.
 
-        It is softer if the force reaches 2 % of the load (or six standard errors, if that is more) before the line
-        does, by more than 3 % of the depth of the rupture.
+        The membrane is softer if the force reaches 2 % of the load (or six standard errors, if that is more) before
+        the line does, by more than 3 % of the depth of the rupture.
         """
         half = self._half
         soft = max(PUNCTURE_LIMITS.soft_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
@@ -197,7 +197,7 @@ class _Puncture:
         )
 
     def _ringing(self) -> Ringing:
-        """Return the mode of the rupture; raise FitError if it was not recorded completely or is not one mode."""
+        """Return the mode of the rupture; raise FitError if the ringing is incomplete or is not one mode."""
         name, at, rate_hz, begin, seen = self._name, self._at, self._rate_hz, self._begin, self._seen
         first = max(0, at - round(PUNCTURE_LIMITS.before_rupture_s * rate_hz))
         end = min(len(seen), at + round(PUNCTURE_LIMITS.after_rupture_s * rate_hz))
@@ -393,7 +393,7 @@ def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rup
 
 
 def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, warnings: Warnings) -> Estimate | None:
-    """Return the slope of the amplitude with speed, or None for fewer than four punctures or nearly equal speeds.
+    """Return the slope of ringing amplitude with speed, or None for fewer than four punctures or nearly equal speeds.
 
     The material has no such slope, so a significant one downgrades the verdict.
     """

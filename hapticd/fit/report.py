@@ -48,7 +48,7 @@ LABELS_BY_DECADES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A line or points (n,); `low` and `high` are a band about the line or error bars at the points."""
+    """A line or points (n,) in a picture; `low` and `high` are a band about the line or error bars at the points."""
 
     label: str
     x: Floats
@@ -65,7 +65,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One picture."""
+    """One picture of a report: its curves, labels and axes."""
 
     title: str
     x_label: str
@@ -232,7 +232,7 @@ def _label_logarithmic(axes: Axes) -> None:
 def figure_rows(
     figures: Mapping[str, Estimate], plain: Mapping[str, float] = MappingProxyType({})
 ) -> list[tuple[str, str, str, str]]:
-    """Return name, value, interval and unit of each fitted value as text; those of `plain` have no interval."""
+    """Return name, value, interval and unit of each fitted value as text; the values in `plain` have no interval."""
     rows = [
         (name, f"{each.value:.6g}", f"{each.low:.6g} to {each.high:.6g}", unit_of(name) or "")
         for name, each in figures.items()

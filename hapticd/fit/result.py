@@ -20,7 +20,7 @@ from hapticd.fit.verdict import Exclusion, Verdict
 class Fit(ABC):
     """Result of a fit: fitted values with intervals (Estimate), warnings and verdict.
 
-    A field with `repr=False` is only drawn and is not part of the JSON.
+    A field with `repr=False` is for the report's pictures only, and not part of the JSON.
     """
 
     warnings: tuple[str, ...]
@@ -42,7 +42,7 @@ class Fit(ABC):
 
 
 def estimates(fit: Fit) -> dict[str, Estimate]:
-    """Return the fitted values that have an interval, by name; those of a nested dataclass are `field.name`."""
+    """Return the fitted values that have an interval, by name, which is `field.name` in a nested dataclass."""
     found: dict[str, Estimate] = {}
     for name, value in _fields(fit).items():
         if isinstance(value, Estimate):
@@ -64,7 +64,7 @@ def _fields(made: object) -> dict[str, object]:
 
 
 def fields_of(made: object, *names: str) -> dict[str, Json]:
-    """Return the fields with these names, by default all, as plain data; those with `repr=False` are left out."""
+    """Return the fields with these names, by default all, as plain data; fields with `repr=False` are left out."""
     return {name: cast(Json, plain(value)) for name, value in _fields(made).items() if not names or name in names}
 
 

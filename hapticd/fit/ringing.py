@@ -87,8 +87,8 @@ def fit_ringing(
     """Fit `modes` decaying sinusoids to acceleration (n,) in m/s^2, sampled at `rate_hz`.
 
     The onset is searched near `onset_s`, by default at the first large sample. If a fit `start` is given, the search
-    starts there, not at a grid. The result excludes the response of the `sensor`. Raises FitError if the acceleration
-    is constant or has too few samples.
+    starts there, not at a grid. The modes of the result do not include the response of the `sensor`. Raises FitError if
+    the acceleration is constant or has too few samples.
     """
     least = max(RINGING_LIMITS.min_samples, 2 * (3 * modes + 3))
     if len(acceleration) < least:
@@ -106,7 +106,7 @@ def fit_ringing(
 
 
 class _Search:
-    """Least-squares search; a point is the vector (log B of every mode, log w of every mode, onset)."""
+    """Least-squares search of modes. A point is the vector (log decay rates B, log angular frequencies w, onset)."""
 
     def __init__(self, acceleration: Floats, rate_hz: float, sensor: Sensor | None) -> None:
         self._measured = acceleration
@@ -121,7 +121,7 @@ class _Search:
     # ---- Start ----------------------------------------------------------------------------------------------------
 
     def begin(self, onset_s: float | None) -> Floats:
-        """Return the best point of a grid for one mode."""
+        """Return the best point (decay rate, frequency and onset) of a grid for one mode."""
         above = self._measured - np.median(self._measured)
         size = np.abs(above)
         if not size.max() > 0:
@@ -131,7 +131,7 @@ class _Search:
         return self._best(above, onset_s, np.empty(0))
 
     def joined(self, point: Floats) -> Floats:
-        """Return the point with one more mode, which fits the residual best."""
+        """Return the point (modes and onset) with one more mode, which fits the residual best."""
         left = self._solved(point)[1]
         return self._best(left, float(point[-1]), point)
 
@@ -156,9 +156,9 @@ class _Search:
     # ---- The model ------------------------------------------------------------------------------------------------
 
     def _responses(self, point: Floats) -> tuple[int, list[tuple[Complexes, Complexes, Complexes]]]:
-        """Return the first sample after the onset, and for every mode three arrays from there on (sensor.py).
+        """Return the first sample after the onset, and for every mode three arrays from this sample on (sensor.py).
 
-        These are the response y, whose imaginary part is the acceleration, and the derivatives of y by the pole
+        The arrays are the response y, whose imaginary part is the acceleration, and the derivatives of y by the pole
         -B + i w and by time.
         """
         modes = len(point) // 2
@@ -213,7 +213,7 @@ class _Search:
     # ---- The search -----------------------------------------------------------------------------------------------
 
     def descend(self, point: Floats) -> Floats:
-        """Return the point of the local minimum of the squares, by Levenberg-Marquardt steps from this point."""
+        """Return the local minimum of the squared residual, by Levenberg-Marquardt steps from `point`."""
         coefficients, left, _, base = self._solved(point)
         least = float(left @ left)
         damping = 1e-3
@@ -244,7 +244,7 @@ class _Search:
     def at_the_onset(self, point: Floats) -> Floats:
         """Return the point, or a better one whose onset differs by half a period or a period.
 
-        At these onsets the same ringing begins with the other or the same sign.
+        At half a period the ringing begins with the opposite sign, at a period with the same sign.
         """
         least = self._squares(point)
         half_s = math.pi / math.exp(float(point[len(point) // 2]))
@@ -269,7 +269,7 @@ class _Search:
         return tried
 
     def result(self, point: Floats) -> Ringing:
-        """Return the fit at a point, with covariance and residual."""
+        """Return the fit whose modes and onset are those of `point`, with covariance and residual."""
         modes = len(point) // 2
         coefficients, left, columns, _ = self._solved(point)
         decay, angular = np.exp(point[:modes]), np.exp(point[modes:-1])

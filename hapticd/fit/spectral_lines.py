@@ -3,8 +3,8 @@
 In a periodogram of the complete recording with Hann's window, the power of noise is exponentially distributed. Its
 mean is estimated from the median of n neighbouring bins. A bin belongs to a line if noise has its power in any of the N
 bins with a probability of at most p = LINE_LIMITS.max_chance: power/mean exceeds the quantile 1 - p/N of the F
-distribution with 2 and 2 n degrees of freedom. Half of several recordings must have the line, each with a lower
-threshold. A ringing is broader, and is not found.
+distribution with 2 and 2 n degrees of freedom. Half of several recordings must have the line, with a lower
+threshold than for a single recording. A ringing is broader, and is not found.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class SpectralLine:
 
 
 def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the lines of one recording (n,), the strongest first.
+    """Return the spectral lines of one recording (n,), the strongest first.
 
-    `needed` is the number of recordings that must have a line; the more, the lower the threshold for each.
+    `needed` is the number of recordings that must have a line; a larger number lowers the threshold of each recording.
     """
     from scipy.special import fdtri
 
@@ -82,7 +82,7 @@ def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> lis
 
 
 def lines_in_residual(acceleration: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the lines in the residual of a recording (n,), with their fraction of the power of the recording.
+    """Return the spectral lines in the residual of a recording (n,), with their fraction of the power of the recording.
 
     Samples where `modelled` is NaN are not used.
     """
@@ -92,7 +92,7 @@ def lines_in_residual(acceleration: Floats, modelled: Floats, rate_hz: float, ne
 
 
 def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]]) -> list[SpectralLine]:
-    """Return the lines that at least half of the recordings have, with their mean fraction, sorted by frequency.
+    """Return the spectral lines in at least half of the recordings, with their mean fraction, sorted by frequency.
 
     `lines_in(recording, needed)` returns the lines of one recording, as `spectral_lines` does.
     """
@@ -117,13 +117,13 @@ def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[Sp
 def report_lines(
     recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], warnings: Warnings
 ) -> None:
-    """Downgrade the verdict if the recordings have lines in common; arguments as for `common_lines`."""
+    """Downgrade the verdict if the recordings have spectral lines in common; arguments as for `common_lines`."""
     if hum := common_lines(recordings, lines_in):
         warnings.add_fair(described(hum))
 
 
 def described(lines: Sequence[SpectralLine]) -> str:
-    """Return a sentence about one or more lines."""
+    """Return a sentence about one or more spectral lines."""
     # Rounded to 0.1 Hz, as a bin is a fraction of a hertz wide.
     hertz = {line: f"{round(line.frequency_hz, 1):.10g} Hz" for line in lines}
     if len(lines) == 1:

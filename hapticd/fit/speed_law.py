@@ -44,15 +44,15 @@ class Tap(Protocol):
 
     @property
     def recording(self) -> str:
-        """Name of the recording."""
+        """Name of the tap's recording."""
 
     @property
     def onset_s(self) -> float:
-        """Onset on the recording's clock."""
+        """Onset of the tap on the recording's clock."""
 
     @property
     def speed_m_per_s(self) -> float:
-        """Approach speed."""
+        """Approach speed of the stylus."""
 
 
 def check_speeds(taps: Sequence[Tap]) -> None:
@@ -104,7 +104,7 @@ def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """Power law A = coefficient v^exponent, v in m/s."""
+    """Power law of a tap's amplitude: coefficient times v^exponent, with the approach speed v in m/s."""
 
     exponent: Estimate
     coefficient_m_per_s2: Estimate
@@ -112,7 +112,7 @@ class Power:
     points: Amplitudes
     """Points of the law for the material, which interpolates linearly between them."""
     off: float
-    """Largest error of this interpolation between the first point and the last, as a fraction of the law."""
+    """Largest error of linear interpolation between the first point and the last, as a fraction of the law."""
 
     def to_dict(self) -> dict[str, Json]:
         """Return the law as plain data for JSON."""
@@ -126,7 +126,7 @@ class Power:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """The law that was chosen for A(v), and the alternatives."""
+    """The chosen law of amplitude versus approach speed, and the alternatives."""
 
     kind: LawKind
     above: Mapping[LawKind, float]
@@ -142,7 +142,7 @@ class Law:
 
     @property
     def named(self) -> str:
-        """The law in words."""
+        """Name of the chosen law, in words."""
         if self.kind == "line":
             return "a line through the origin"
         if self.kind == "table" or self.power is None:
@@ -151,12 +151,12 @@ class Law:
 
     @property
     def points(self) -> Amplitudes:
-        """`amplitudes` of a material: points of the power law if the law is one, else the table."""
+        """Value of `amplitudes` of a material: points on the curve of the power law, or the table."""
         return self.power.points if self.kind == "power" and self.power is not None else self.table
 
     @property
     def why(self) -> str:
-        """The reason for this law, in words: by how much AICc of the others is higher."""
+        """The reason for the chosen law, in words: by how much the AICc of the other laws is higher."""
         names: Mapping[LawKind, str] = {"line": "a line", "power": "a power law", "table": "a table"}
         others = " and ".join(f"{above:.1f} for {names[kind]}" for kind, above in self.above.items() if above > 0)
         if self.kind == "line" and self.above.get("line", 0.0) > 0:
@@ -179,7 +179,7 @@ class Law:
 
 
 def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind | None = None) -> Law:
-    """Return the law of amplitudes (n,), m/s^2, versus speeds, m/s.
+    """Return the law of the taps' amplitudes (n,), m/s^2, versus their approach speeds, m/s.
 
     `variances` are those of the amplitudes due to noise. If `only` is given, that law is not compared with others.
     """
@@ -239,7 +239,7 @@ def check_law(warnings: Warnings, law: Law, r_squared: float) -> None:
 
 
 def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:
-    """Return the weights (n,): inverse variances of the noise and of a scatter proportional to a smooth amplitude."""
+    """Return the taps' weights (n,): inverse variances of noise and of scatter proportional to a smooth amplitude."""
     columns = np.column_stack((np.ones_like(speeds), np.log(speeds)))
     logs = np.log(np.maximum(amplitudes, 1e-6 * float(np.max(amplitudes))))
     if len(speeds) > 4:
@@ -271,7 +271,7 @@ def knots_of(speeds: Floats, count: int) -> Floats:
 def table(
     speeds: Floats, amplitudes: Floats, variances: Floats, most: int = SPEED_LAW_LIMITS.max_table_speeds
 ) -> Amplitudes:
-    """Return the table that fits best, of those with at most `most` speeds and no amplitude below 0."""
+    """Return the best fitting table of amplitudes versus speed, with at most `most` speeds and no amplitude below 0."""
     knots = knots_of(speeds, min(most, max(2, len(speeds) - 2)))
     nodes = np.concatenate(([0.0], knots))
     hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
@@ -290,7 +290,7 @@ def table(
 
 
 def json_table(amplitudes: Amplitudes, what: str = "coefficient_m_per_s2") -> Json:
-    """Return a table of amplitudes as plain data for JSON; `what` is the key of an amplitude."""
+    """Return a table of amplitudes as plain data for JSON; each amplitude has the key `what`."""
     return [{"speed_m_per_s": speed, what: amplitude.to_dict()} for speed, amplitude in amplitudes]
 
 
@@ -339,7 +339,7 @@ def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | Non
 
 
 def _step(logs: Floats, amplitudes: Floats, variances: Floats, height: float, exponent: float) -> tuple[Estimate, ...]:
-    """Return ln A where `logs` (logarithms of speed) are 0, and the exponent, after one Gauss-Newton step."""
+    """Return log amplitude where `logs` (log speeds) are 0, and the exponent, after one Gauss-Newton step."""
     model = np.exp(height + exponent * logs)
     columns = np.column_stack((model, model * logs))
     wanted = amplitudes - model + columns @ np.array([height, exponent])
@@ -381,7 +381,7 @@ def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, nois
 
 
 def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
-    """Return whether A(v) has an offset or is a curve, not a line through the origin."""
+    """Return whether the amplitude versus speed has an offset or is a curve, not a line through the origin."""
     ones = np.ones_like(speeds)
     size = float(np.mean(amplitudes))
     scale = 1 / np.sqrt(noise / np.mean(noise))
@@ -404,7 +404,7 @@ def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
 
 
 def speed_trend(speeds: Floats, logs: Floats, variances: Floats, what: str, least: float) -> str:
-    """Return a sentence if a quantity changes from the slowest tap to the fastest, else an empty string.
+    """Return a sentence if the quantity `what` changes from the slowest tap to the fastest, else an empty string.
 
     The change must be significant and at least the fraction `least`. `logs` are the logarithms of the quantity.
     """

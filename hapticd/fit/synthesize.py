@@ -65,7 +65,7 @@ class Stylus:
         )
 
     def ringing(self, mode: Mode, time_s: Floats) -> Floats:
-        """Return the sensor's response (n,) to exp(-B t) sin(w t) from t = 0, at times (n,)."""
+        """Return the sensor's response (n,), at times (n,), to the mode exp(-B t) sin(w t) that begins at t = 0."""
         pole = complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
         heard = np.zeros(len(time_s))
         after = time_s > 0
@@ -133,7 +133,7 @@ def taps(
 
 
 def _tap_position(since_s: Floats, speed_m_per_s: float) -> Floats:
-    """Return the position: at rest, moving to the surface at constant speed, at rest there, and moving back."""
+    """Return the stylus's position: at rest, moving to the surface at constant speed, at rest there, moving back."""
     away_m = speed_m_per_s * SYNTHETIC_APPROACH_S
     return np.asarray(
         np.interp(
@@ -201,8 +201,8 @@ def texture(
 ) -> Recording:
     """Return a stroke over a material with a stochastic or an autoregressive texture.
 
-    The spectrum is that of white noise times the root of the density. Of autoregressive models the nearest in speed and
-    force is used. Raises ValueError for other materials.
+    The spectrum is that of white noise times the root of the texture's density. Of autoregressive models the nearest in
+    speed and force is used. Raises ValueError for other materials.
     """
     coarse = material.texture
     if not isinstance(coarse, Stochastic | Autoregressive):
@@ -304,7 +304,7 @@ def _stroke(
 
 
 def _strike(onto: Floats, time: Floats, struck_s: float, amplitude: float, mode: Mode, stylus: Stylus) -> None:
-    """Add the sensor's response to A exp(-B t) sin(w t) from `struck_s` on, for 14 decay times (to a millionth)."""
+    """Add the sensor's response to a strike of `mode` at `struck_s`, for 14 decay times (to a millionth)."""
     low = math.ceil(struck_s * stylus.rate_hz)
     high = min(len(time), low + math.ceil(14 * mode.decay_time_s * stylus.rate_hz))
     onto[low:high] += amplitude * stylus.ringing(mode, time[low:high] - struck_s)

@@ -60,7 +60,7 @@ class Event:
 
 
 class Events:
-    """The loud events of a recording, without bounces."""
+    """The loud events of a recording: taps, without bounces."""
 
     def __init__(self, recording: Recording, lines: list[str]) -> None:
         """Find the events and append warnings to `lines`; raise FitError for a recording without taps."""
@@ -179,7 +179,7 @@ def _checked(recording: Recording) -> Floats:
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
     """Return gravity and drift (n,): medians over blocks of 50 ms, interpolated linearly.
 
-    For a short recording that begins at rest, return the median of that rest: slow ringing would shift those of blocks.
+    For a short recording that begins at rest, return the median of that rest: slow ringing would shift block medians.
     """
     if len(acceleration) < TAP_LIMITS.short_recording_s * rate_hz:
         off = np.abs(acceleration - acceleration[0])
@@ -314,32 +314,32 @@ class TapHit:
 
     @property
     def onset_s(self) -> float:
-        """Onset on the recording's clock."""
+        """Onset of the tap on the recording's clock."""
         return self.begin_s + self.ringing.onset_s
 
     @property
     def coefficient_m_per_s2(self) -> float:
-        """Coefficient A of the mode."""
+        """Coefficient (initial amplitude) of the mode."""
         return float(self.ringing.coefficients[0])
 
     @property
     def decay_rate_per_s(self) -> float:
-        """Decay rate B of the mode."""
+        """Decay rate of the mode."""
         return float(self.ringing.decay_rate_per_s[0])
 
     @property
     def angular_frequency_rad_per_s(self) -> float:
-        """Angular frequency w of the mode."""
+        """Angular frequency of the mode."""
         return float(self.ringing.angular_frequency_rad_per_s[0])
 
     @property
     def first_peak_m_per_s2(self) -> float:
-        """Largest acceleration of the first cycle."""
+        """Largest acceleration of the mode's first cycle."""
         return self.coefficient_m_per_s2 * Mode(self.decay_rate_per_s, self.angular_frequency_rad_per_s).peak
 
     @property
     def variance_accounted_for(self) -> float:
-        """Fraction of the variance that the mode explains."""
+        """Fraction of the acceleration's variance that the mode explains."""
         return self.ringing.variance_accounted_for
 
     @property
@@ -480,7 +480,7 @@ def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing,
 
 
 def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None:
-    """Return the reason why the modes of `ringing` cannot be those of a tap, or None."""
+    """Return the reason why the modes of `ringing` cannot come from a tap, or None."""
     for angular in ringing.angular_frequency_rad_per_s:
         if slow := preparation.undersampled(rate_hz, float(angular) / (2 * math.pi), TAP_LIMITS.min_samples_per_cycle):
             return Unusable(f"it {slow}", "rate")
@@ -508,7 +508,7 @@ def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None
 
 
 def _uncertainty(ringing: Ringing) -> tuple[float, str]:
-    """Return the largest relative standard error among A, B and w of all modes, and the name of that parameter."""
+    """Return the largest relative standard error of all modes' parameters, and the name of that parameter."""
     modes = len(ringing.coefficients)
     values = np.concatenate((ringing.coefficients, ringing.decay_rate_per_s, ringing.angular_frequency_rad_per_s))
     variances = np.diag(ringing.covariance)[: len(values)]
@@ -571,8 +571,8 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
 def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
     """Return the taps with the louder of their two modes, and the second mode, if most taps have the same two modes.
 
-    Two modes are tried if one explains too little of the median tap. Otherwise return the taps for which one mode is
-    enough, and None.
+    Two modes are tried if one mode explains too little of the median tap. If most taps do not have the same two modes,
+    the taps for which one mode is enough are returned, and None.
     """
     alone = float(np.median([tap.variance_accounted_for for tap in taps])) if taps else 1.0
     pairs = [tap.pair for tap in taps if tap.pair is not None]
@@ -640,7 +640,7 @@ def _explained_by(both: Sequence[tuple[TapHit, Ringing]]) -> float:
 
 
 def _usual_pair(pairs: Sequence[Ringing]) -> Floats | None:
-    """Return the logarithms of the two angular frequencies that most pairs have, the louder mode first.
+    """Return the log angular frequencies that most pairs of modes have, the louder mode first.
 
     Returns None if the pairs do not agree.
     """
@@ -658,7 +658,7 @@ def _usual_pair(pairs: Sequence[Ringing]) -> Floats | None:
 
 
 def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
-    """Return the pair with its modes in the order of `usual`, log angular frequencies; None if its modes are others."""
+    """Return the two modes in the order of `usual`, log angular frequencies; None if the frequencies differ."""
     for order in ([0, 1], [1, 0]):
         if np.all(
             np.abs(np.log(pair.angular_frequency_rad_per_s[order]) - usual) < TAP_LIMITS.max_frequency_difference
@@ -668,7 +668,7 @@ def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
 
 
 def _common_pair(both: list[tuple[TapHit, Ringing]], by_both: float, by_one: float, default: bool) -> SecondMode | None:
-    """Return the second mode that the pairs have in common, or None if the second is an artefact of the first."""
+    """Return the second mode that all taps have in common, or None if it is an artefact of the first mode."""
     speeds = np.array([tap.speed_m_per_s for tap, _ in both])
     noise = _noise_of([tap for tap, _ in both])
     relative = noise / np.array([tap.first_peak_m_per_s2 for tap, _ in both]) ** 2
@@ -680,7 +680,7 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], by_both: float, by_one: flo
     of_ratio = ratios**2 * (parts.sum(axis=1) - 2 * between / coefficients.prod(axis=1))
 
     def shared(name: str, first_column: int) -> list[Estimate]:
-        """Return the mean natural logarithm of this parameter for either mode."""
+        """Return the mean natural logarithm, over the taps, of the parameter `name` of either mode."""
         values = np.array([getattr(pair, name) for _, pair in both])
         variances = own[:, first_column : first_column + 2] / values**2
         return [common(np.log(values[:, k]), _smoothed(variances[:, k], relative)) for k in range(2)]
@@ -727,7 +727,7 @@ def _noise_of(taps: Sequence[TapHit]) -> Floats:
 
 
 def _smoothed(variances: Floats, scale: Floats) -> Floats:
-    """Return variances proportional to `scale`, with the median ratio: the given ones vary by chance."""
+    """Return variances proportional to `scale`, with the median ratio, because the given variances vary by chance."""
     return np.asarray(scale * np.median(variances / scale), dtype=np.float64)
 
 
@@ -740,7 +740,7 @@ def _time(log_decay: float) -> float:
 
 
 def _peak_variance(ringing: Ringing) -> float:
-    """Return the variance of the first peak A p(B, w), by linear error propagation; p is the peak for A = 1."""
+    """Return the variance of the mode's first peak, by linear propagation of the errors of its parameters."""
     values = np.array([ringing.coefficients[0], ringing.decay_rate_per_s[0], ringing.angular_frequency_rad_per_s[0]])
 
     def peak(at: Floats) -> float:
@@ -822,7 +822,7 @@ def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -
     """Return the table of modes versus speed, or None if frequency and decay time do not change.
 
     Frequency or decay time changes if it differs significantly between the slowest and the fastest tap, and by 2 % or
-    10 %, respectively. The one that does not change has the mean of all taps at every speed.
+    10 %, respectively. A quantity that does not change has the mean of all taps at every speed.
     """
     speeds, (angulars, of_angular), (decays, of_decay) = figures.speeds, figures.angular, figures.decay
     moved = (
@@ -869,7 +869,7 @@ class TapFit(Fit):
 
     taps: tuple[TapHit, ...]
     slope_per_s: Estimate
-    """Slope of the coefficient A with speed, for `attack: coefficient`."""
+    """Slope of the mode's coefficient versus approach speed, for `attack: coefficient`."""
     first_peak_slope_per_s: Estimate
     """Slope of the largest acceleration of the first cycle with speed, for `attack: first_peak`."""
     frequency_hz: Estimate
@@ -877,17 +877,17 @@ class TapFit(Fit):
     modes: Modes | None
     """Table of frequency and decay time at several speeds, if they change with speed."""
     r_squared: float
-    """r^2 of A(v) as a line through the origin."""
+    """r^2 of the amplitude versus speed as a line through the origin."""
     offset_slope_per_s: Estimate
     offset_m_per_s2: Estimate
     r_squared_offset: float
-    """r^2 of A(v) as a line with an offset."""
+    """r^2 of the amplitude versus speed as a line with an offset."""
     variance_accounted_for: float
     """Fraction of the variance that the mode explains, median over the taps."""
     law: Law
-    """Law of A(v): the line, a power law or a table."""
+    """Law of the amplitude versus speed: the line, a power law or a table."""
     power: Power | None
-    """The power law, if that is the law of A(v)."""
+    """The power law, if it is the law of the amplitude versus speed."""
     second: SecondMode | None
     """A second mode, if one mode is not enough."""
 
@@ -899,14 +899,14 @@ class TapFit(Fit):
 
     @property
     def linear(self) -> bool:
-        """Whether A(v) is a line through the origin."""
+        """Whether the amplitude versus approach speed is a line through the origin."""
         return self.law.kind == "line"
 
     @property
     def amplitudes(self) -> Amplitudes:
-        """Value of `amplitudes` of a material: A at several speeds, interpolated linearly and down to 0 at rest.
+        """Value of `amplitudes` of a material: a table at several speeds, interpolated linearly and down to 0 at rest.
 
-        If A(v) is a power law, the material has points of it.
+        A power law is given by points on its curve.
         """
         return self.law.points
 
@@ -958,7 +958,7 @@ class TapFit(Fit):
             points = second.amplitudes
 
         def factor(speed: float) -> float:
-            """Return the ratio to A of the amplitude that `attack` specifies, at this speed."""
+            """Return the amplitude that `attack` specifies, divided by the mode's coefficient, at this speed."""
             if attack == "coefficient":
                 return 1.0
             hertz, time_s = self.frequency_hz.value, self.decay_time_s.value
@@ -1054,7 +1054,7 @@ def fit_tap(
 
 
 def _of_one_sign(hits: list[TapHit], lines: list[str], excluded: Exclusions) -> list[TapHit]:
-    """Return the taps with the usual sign, reversed if necessary to be positive; add the others to `excluded`."""
+    """Return the taps with the usual sign of the acceleration, made positive; add the others to `excluded`."""
     signs = [math.copysign(1.0, tap.coefficient_m_per_s2) for tap in hits]
     usual = 1.0 if sum(signs) >= 0 else -1.0
     if usual < 0:
@@ -1116,7 +1116,7 @@ def _check_recordings(
 def _check_mode(
     warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, lines: list[str]
 ) -> None:
-    """Downgrade the verdict if one mode, or two, do not explain the taps."""
+    """Downgrade the verdict if one mode, or two modes, do not explain the taps."""
     if second is not None:
         together = 100 * second.variance_accounted_for
         lines.append(

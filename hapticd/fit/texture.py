@@ -49,7 +49,7 @@ from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 @dataclass(frozen=True, slots=True)
 class StrokeBlocks:
-    """A recording cut into blocks."""
+    """A recording cut into blocks of half a second."""
 
     stroke: Stroke
     density: Floats
@@ -112,7 +112,7 @@ def _blocks_of(stroke: Stroke, usual_hz: float, warnings: Warnings) -> StrokeBlo
 
 
 def _without_sensor_noise(name: str, frequency: Floats, density: Floats, rate_hz: float) -> tuple[Floats, float]:
-    """Return the density minus that of the sensor's noise, and the density of the noise.
+    """Return the power spectral density minus that of the sensor's noise, and the density of the noise.
 
     Raises FitError if the spectrum does not end below half the rate, that is, if its mean between 0.4 and 0.49 of the
     rate is more than a twentieth of its highest value.
@@ -177,7 +177,7 @@ def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
 
 
 def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail | None]:
-    """Return the frequency at which the mean spectrum falls to 0.3 of the sensor's noise, and the tail above."""
+    """Return the frequency where the mean spectrum falls to 0.3 of the sensor's noise, and the extrapolation above."""
     smooth = smoothed(shape, max(1, round(25 / frequency[1])))
     peak = int(np.argmax(smooth))
     below = np.flatnonzero(smooth[peak:] < 0.3 * floor)
@@ -194,14 +194,14 @@ def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """Density from `top_hz` to half the rate: it falls as frequency^-fall, as the octave below `top_hz` does."""
+    """Extrapolated density from `top_hz` to half the rate: proportional to frequency^-fall, as in the octave below."""
 
     top_hz: float
     fall: float
     end_hz: float
 
     def moments(self, frequency: Floats, shape: Floats) -> tuple[float, float]:
-        """Return the tail's power, and its power times its mean frequency, both divided by the width of a bin."""
+        """Return the extrapolated power, and this power times its mean frequency, both divided by a bin's width."""
         last = frequency > self.top_hz / 2
         level = float(shape[last].sum() / np.sum((frequency[last] / self.top_hz) ** -self.fall)) / float(frequency[1])
         ratio = self.end_hz / self.top_hz
@@ -212,7 +212,7 @@ class Tail:
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """The blocks of all strokes."""
+    """The half-second blocks of all strokes."""
 
     strokes: tuple[Stroke, ...]
     stroke: Ints
@@ -229,7 +229,7 @@ class _Blocks:
 
     @classmethod
     def of(cls, cut: Sequence[StrokeBlocks], excluded: Exclusions) -> _Blocks:
-        """Return the blocks of all strokes; raise FitError if they are too few or their RMS is out of range."""
+        """Return the blocks of all strokes; raise FitError if the blocks are too few or their RMS is out of range."""
         density = np.concatenate([each.density for each in cut])
         if len(density) < TEXTURE_LIMITS.min_blocks:
             raise excluded.refused(
@@ -260,12 +260,12 @@ class _Blocks:
 
     @property
     def speed(self) -> Floats:
-        """(blocks,) mean speeds, m/s."""
+        """(blocks,) mean speed of each block, m/s."""
         return np.asarray(self.means[:, 0])
 
     @property
     def force(self) -> Floats:
-        """(blocks,) mean forces, N."""
+        """(blocks,) mean force of each block, N."""
         return np.asarray(self.means[:, 1])
 
     def centroid(self, density: Floats) -> float:
@@ -309,9 +309,9 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
 
 
 def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) -> Estimate:
-    """Return `figure` of the mean density with its jackknife interval.
+    """Return the value `figure` of the mean density (power spectral density) with its jackknife interval.
 
-    Groups of blocks are left out in turn, or strokes if these differ significantly more than their blocks do (5 %
+    Groups of blocks are left out in turn, or strokes if strokes differ significantly more than their blocks do (5 %
     level).
     """
     from scipy.special import fdtri
@@ -443,7 +443,7 @@ Gains: TypeAlias = tuple[Estimate, Estimate] | tuple[None, None]
 
 
 def _loudness(blocks: _Blocks, autoregressive: bool, warnings: Warnings) -> tuple[Floats, Gains, float]:
-    """Return the RMS of each block as the law predicts it (blocks,), the gains of the law, and its correlation.
+    """Return the RMS (blocks,) that the law of speed and force predicts, the law's gains, and its correlation.
 
     If speed and force do not vary independently, autoregressive models take the mean RMS of each stroke, without gains.
     """
@@ -457,7 +457,7 @@ def _loudness(blocks: _Blocks, autoregressive: bool, warnings: Warnings) -> tupl
 
 
 def _law(moments: Floats, rms: Floats, warnings: Warnings) -> tuple[Floats, Gains, float]:
-    """Fit the law by quasi-likelihood; return predicted RMS (blocks,), gains and correlation.
+    """Fit RMS versus speed and force by quasi-likelihood; return predicted RMS (blocks,), gains and correlation.
 
     The mean power of a block is g' M g, with the gains g and the block's moments M. Its derivative 2 M g, divided by
     the power, gives the block's row in the least squares.
@@ -503,13 +503,13 @@ class ArModel:
     coefficients: tuple[float, ...]
     rms_m_per_s2: float
     rms_error_db: float
-    """Difference between its spectrum and the recorded one, from `spectral_distance_db`."""
+    """Difference between the model's spectrum and the recorded one, from `spectral_distance_db`."""
 
 
 def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
-    """Return the rate of the models, an integer of Hz: 99.5 % of the power lies below 0.4 of this rate.
+    """Return the autoregressive models' rate, an integer of Hz: 99.5 % of the power lies below 0.4 of this rate.
 
-    It is at most the rate of the recordings.
+    The models' rate is at most the rate of the recordings.
     """
     below = np.cumsum(np.maximum(shape, 0.0))
     top = float(frequency[min(int(np.searchsorted(below, TEXTURE_LIMITS.model_power * below[-1])), len(frequency) - 1)])
@@ -517,7 +517,7 @@ def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
 
 
 def _models_of(blocks: _Blocks, rate_hz: float) -> tuple[ArModel, ...]:
-    """Return a model of each group of blocks whose speeds and forces differ by less than a tenth.
+    """Return an autoregressive model of each group of blocks whose speeds and forces differ by less than a tenth.
 
     Raises FitError if no group lasts 2 s.
     """
@@ -711,7 +711,7 @@ def _fitted(sections: Sequence[Recording], rate_hz: float, autoregressive: bool,
 
 
 def _cut(sections: Sequence[Recording], rate_hz: float, excluded: Exclusions, warnings: Warnings) -> list[StrokeBlocks]:
-    """Return each section cut into blocks; raise FitError if none can be used."""
+    """Return each section cut into blocks; raise FitError if no section can be used."""
     found = excluded.each(sections, lambda each: _blocks_of(stroke_of(each, "texture"), rate_hz, warnings))
     if not found:
         raise excluded.refused("none of the recordings can be used")
@@ -724,7 +724,7 @@ def _cut(sections: Sequence[Recording], rate_hz: float, excluded: Exclusions, wa
 
 
 class _TwoTextures(FitError):
-    """A recording has more than one texture, or is not of a texture."""
+    """A recording has more than one texture, or its vibration is not that of a texture."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(f"{name}: {reason}")

@@ -25,7 +25,7 @@ ONE_PART: Final = "part"
 
 
 class Rule(NamedTuple):
-    """Limits of a value: beyond `fair` a fit is fair, beyond `poor` it is poor.
+    """Limits of a value: beyond `fair` a fit is fair, beyond `poor` the fit is poor.
 
     `reason` and `more` are format strings. Their fields are `value`, `percent` and the arguments of `Warnings.check`.
     """
@@ -119,7 +119,7 @@ class Verdict:
 
 @dataclass(slots=True)
 class Warnings:
-    """Warnings of a fit, and the reasons why it is not good."""
+    """Warnings of a fit, and the reasons why the fit is not good."""
 
     lines: list[str] = field(default_factory=list)
     """All warnings, one line each."""
@@ -129,7 +129,7 @@ class Warnings:
     poor: bool = False
 
     def add(self, poor: bool, reason: str, more: str = "") -> None:
-        """Add a reason against the fit, unless `reason` is empty; with `more`, add the warning `reason; more`, too."""
+        """Add a reason against the fit, unless `reason` is empty; with `more`, also add the warning `reason; more`."""
         if not reason:
             return
         self.poor |= poor
@@ -178,7 +178,7 @@ class Warnings:
         self.check("half of a figure's interval", part, what=what, within=within)
 
     def check_gain(self, what: str, gain: Estimate, usual: float, loudness: float) -> None:
-        """Downgrade the verdict if the gain of a law may be 0 or is uncertain.
+        """Downgrade the verdict if the gain of loudness with speed or force may be 0 or is uncertain.
 
         The gain is uncertain if half of its interval, times the `usual` speed or force, is too large a fraction of the
         usual loudness.
@@ -234,7 +234,7 @@ class Exclusions:
         self._strict = strict
 
     def add(self, recording: str, reason: str, what: str = WHOLE_RECORDING, time_s: float | None = None) -> None:
-        """Add an exclusion; raise StrictError if strict."""
+        """Add the exclusion of `what`, by default the complete recording; raise StrictError if strict."""
         left = Exclusion(recording, reason.removeprefix(f"{recording}: "), what, time_s)
         if self._strict:
             raise StrictError(f"{left}; --strict forbids exclusions")
@@ -286,7 +286,7 @@ class Exclusions:
         return FitError(f"{few} ({'; '.join(self.lines()[:3])}{more})")
 
     def lines(self) -> list[str]:
-        """Return a line for each exclusion."""
+        """Return one line of text for each exclusion."""
         return [str(left) for left in self.items]
 
     def report(self, recordings: Sequence[Recording], warnings: Warnings) -> None:

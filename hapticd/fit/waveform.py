@@ -43,7 +43,7 @@ class Pulse:
     begin_s: float
     """Time of the first sample, on the recording's clock."""
     onset_s: float
-    """Onset after the first sample."""
+    """Time of the onset after the first sample."""
     speed_m_per_s: float
     rate_hz: float
     measured: Floats
@@ -61,7 +61,7 @@ class Pulse:
 
     @property
     def since_s(self) -> Floats:
-        """(n,) times of the samples since the first one."""
+        """(n,) times of the samples since the first sample."""
         return np.arange(len(self.measured)) / self.rate_hz
 
     @property
@@ -119,7 +119,7 @@ def _pulse(loud: Events, index: int) -> Pulse:
 
 @dataclass(frozen=True, slots=True)
 class FittedPulse:
-    """Amplitude, offset and onset of a pulse fitted by the shape."""
+    """Amplitude, offset and onset of a pulse fitted by the common waveform."""
 
     amplitude: float
     offset: float
@@ -129,13 +129,13 @@ class FittedPulse:
     """Sum of squares of the residual."""
 
     def modelled(self, shape: Curve, pulse: Pulse) -> Floats:
-        """Return the model of the pulse (n,), m/s^2."""
+        """Return the modelled acceleration of the pulse (n,), m/s^2."""
         return np.asarray(self.amplitude * shape.at(pulse.since_s - self.onset_s) + self.offset)
 
     def explained(self, shape: Curve, pulse: Pulse, noise_m_per_s2: float = 0.0) -> float:
-        """Return the fraction of the variance about the offset that the shape explains while it lasts.
+        """Return the fraction of the pulse's variance about its offset that the shape explains while the shape lasts.
 
-        The variance of noise with this standard deviation is subtracted.
+        The variance of noise with the given standard deviation is subtracted.
         """
         since = pulse.since_s - self.onset_s
         here = (since >= 0) & (since <= shape.length_s)
@@ -179,7 +179,7 @@ class Equations:
         self._smooth = 1e-4 * float(np.mean(np.diag(self._gram))) * (bends.T @ bends)
 
     def solved(self, without: int | None = None) -> Floats:
-        """Return the samples (count,), of which the first and the last are 0; pulse `without` is left out."""
+        """Return the shape's samples (count,), whose first and last are 0; pulse `without` is left out."""
         from scipy.linalg import solve
 
         gram, side = self._gram, self._side
@@ -242,9 +242,9 @@ class Shape:
     pulses: tuple[Pulse, ...]
     fitted: tuple[FittedPulse, ...]
     rate_hz: float
-    """Rate of the samples."""
+    """Sampling rate of the waveform."""
     samples: Floats
-    """(count,)."""
+    """Samples (count,) of the waveform."""
 
     @classmethod
     def of(
@@ -276,7 +276,7 @@ class Shape:
         return Equations(self.pulses, self.fitted, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
-        """Return the fractions (n,) of each pulse's variance, with and without noise, that the others explain."""
+        """Return the fraction (n,) of each pulse's variance, with and without noise, that the other pulses explain."""
         equations = self.equations
         shares = []
         for index, (pulse, where) in enumerate(zip(self.pulses, self.fitted, strict=True)):
@@ -287,7 +287,7 @@ class Shape:
         return explains[:, 0], explains[:, 1]
 
     def trimmed(self, rest: int) -> tuple[Shape, bool]:
-        """Return the shape from its beginning to its end, and whether it is faded out.
+        """Return the shape without rest before or after the pulse, and whether the shape's end is faded out.
 
         The first `rest` samples are before the contact. The shape begins at the last sample before its rise that is
         within three standard errors of the rest. It ends where the energy of later samples, less that of twice their
@@ -332,7 +332,7 @@ class Shape:
         return found, faded
 
     def coarser(self) -> Shape:
-        """Return the shape with fewer samples: its rate is halved while this costs at most 1e-4 of the variance."""
+        """Return the shape with fewer samples: the rate is halved while halving costs at most 1e-4 of the variance."""
         least, shape = float(np.median(self.explained()[1])) - WAVEFORM_LIMITS.max_coarse_loss, self
         while True:
             count = math.ceil((len(shape.samples) - 1) / 2) + 1
@@ -345,7 +345,7 @@ class Shape:
 
 
 def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
-    """Return the waveform of 3 or more pulses, and whether it is faded out.
+    """Return the common waveform of 3 or more pulses, and whether its end is faded out.
 
     Raises FitError if the pulses have no common waveform.
     """
@@ -376,10 +376,10 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
 
 
 def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
-    """Return half the 95 % intervals of the samples (count,), and of a common factor of all amplitudes.
+    """Return half the 95 % intervals of the shape's samples (count,), and of a common factor of all amplitudes.
 
-    Each adds two errors in quadrature. The first is that of a jackknife over the pulses, or over 16 groups of pulses,
-    with all onsets fitted again. The second is that of the interpolation, from the change in a fit with twice as many
+    Each adds two errors in quadrature. The first is from a jackknife over the pulses, or over 16 groups of pulses,
+    with all onsets fitted again. The second is the interpolation error, from the change in a fit with twice as many
     samples: for a sample the RMS change up to half a sample from it; for the amplitudes their change and the RMS change
     of the curve, because the error of a peak between samples is at least that of the curve.
     """
@@ -443,7 +443,7 @@ class PulseHit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaveformFit(Fit):
-    """Result of a fit of taps that are pulses."""
+    """Result of a fit of taps that are pulses, by a common waveform."""
 
     taps: tuple[PulseHit, ...]
     first_peak_slope_per_s: Estimate
@@ -451,7 +451,7 @@ class WaveformFit(Fit):
     amplitudes: Amplitudes
     """Table of rising speeds, m/s, and amplitudes, m/s^2. Empty if the law is a line."""
     rate_hz: float
-    """Rate of the samples."""
+    """Sampling rate of the waveform."""
     samples: tuple[float, ...]
     """Samples of the curve, whose largest magnitude is 1."""
     deviations: tuple[float, ...]
@@ -460,7 +460,7 @@ class WaveformFit(Fit):
     samples_a_period: float
     """Recorded samples in a period of the middle frequency, below which half of the waveform's energy lies."""
     r_squared: float
-    """r^2 of A(v) as a line through the origin."""
+    """r^2 of the amplitude versus speed as a line through the origin."""
     variance_accounted_for: float
     """Fraction of a tap's variance that a waveform fitted without this tap explains, median over the taps."""
 
@@ -594,7 +594,7 @@ def _alike(
 
 
 def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:
-    """Return the variances (n,) of the amplitudes, from the residuals."""
+    """Return the variances (n,) of the pulses' amplitudes, from the residuals."""
     found = []
     for pulse, fitted in zip(pulses, shape.fitted, strict=True):
         heard = shape.curve.at(pulse.since_s - fitted.onset_s)

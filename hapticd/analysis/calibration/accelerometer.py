@@ -42,7 +42,7 @@ class Recording:
         return 1.0 / float(np.median(np.diff(self.time_s)))
 
     def at(self, time_s: npt.NDArray[np.floating]) -> Floats:
-        """Return the acceleration at these times, linearly interpolated, and 0 outside of the recording."""
+        """Return the acceleration at the times `time_s`, linearly interpolated, and 0 outside of the recording."""
         return np.asarray(np.interp(time_s, self.time_s, self.acceleration_m_per_s2, left=0.0, right=0.0))
 
 
@@ -72,7 +72,7 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
 def offset_of(recording: Recording, expected: Floats, rate_hz: float) -> float:
     """Return the time in the recording at which `expected` (n,), an acceleration at this rate, begins.
 
-    It is the maximum of the normalised cross-correlation, interpolated between samples by a parabola. Raises
+    The time is the maximum of the normalised cross-correlation, interpolated between samples by a parabola. Raises
     HapticdError if the correlation is below 0.3.
     """
     require_scipy("a recording of an accelerometer")
@@ -102,7 +102,7 @@ def offset_of(recording: Recording, expected: Floats, rate_hz: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class AccelerometerResponse:
-    """The response of a handle as the accelerometer measured it, relative to the fit."""
+    """Frequency response of a handle, from the accelerometer, divided by that of the fit to the positions."""
 
     points: tuple[Point, ...]
     """Ratio of the measured to the fitted response at each frequency, divided by `scale`."""
@@ -111,7 +111,7 @@ class AccelerometerResponse:
 
 
 def compare(record: Record, fit: Fit, recording: Recording) -> AccelerometerResponse:
-    """Compare the accelerometer with the fit, burst by burst.
+    """Compare the accelerometer with the fit, for each burst (strike of one frequency) of a drive.
 
     The spectra of both accelerations over the same time are compared, so that the rates may differ. Raises HapticdError
     if the drive is not found in the recording.

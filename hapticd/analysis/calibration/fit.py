@@ -47,7 +47,7 @@ _MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """The ratio of the measured to the modelled spectrum of the bursts at one frequency.
+    """The ratio of the measured to the modelled spectrum of the handle's motion at one frequency.
 
     Multiplied by the fit's linear response, the ratio yields the measured response without the effects of friction and
     of the bursts' starts.
@@ -58,7 +58,7 @@ class Point:
 
 
 def points_of(lines: Iterable[tuple[float, complex, complex]]) -> tuple[Point, ...]:
-    """Return a point per frequency; `lines` hold frequency (Hz), measured and modelled spectrum of each burst."""
+    """Return a Point for each frequency; `lines` hold frequency (Hz), measured and modelled spectrum of each burst."""
     sums: dict[float, tuple[complex, float]] = {}
     for frequency_hz, measured, modelled in lines:
         product, power = sums.get(frequency_hz, (0j, 0.0))
@@ -68,7 +68,10 @@ def points_of(lines: Iterable[tuple[float, complex, complex]]) -> tuple[Point, .
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """The fit of one drive; `error` are the standard errors of `values`, `freedom` their degrees of freedom."""
+    """The handle's parameters fitted to one drive.
+
+    `error` are the standard errors of `values`, `freedom` the degrees of freedom of these errors.
+    """
 
     mass_kg: float
     damping_n_s_per_m: float
@@ -82,7 +85,7 @@ class Fit:
     motion_m: float
     """RMS of the positions."""
     points: tuple[Point, ...]
-    """Points measured by the encoder, one for each frequency that moved it."""
+    """Points measured by the encoder, one for each frequency at which the handle moved."""
 
     @property
     def values(self) -> tuple[float, float, float, float, float]:
@@ -95,13 +98,13 @@ class Fit:
         return np.asarray(1.0 / (self.mass_kg * s**2 + self.damping_n_s_per_m * s + self.stiffness_n_per_m))
 
     def estimate(self, which: int, least: float = 0.0) -> Estimate:
-        """Return an element of `values` with its interval, whose lower bound is at least `least`."""
+        """Return element `which` of `values` with its interval, whose lower bound is at least `least`."""
         found = Estimate.from_error(self.values[which], self.error[which], self.freedom)
         return Estimate(found.value, max(least, found.low), found.high)
 
 
 def difference(held: Fit, free: Fit, which: int) -> Estimate:
-    """Return the difference of an element of `values`, held minus free.
+    """Return the difference of element `which` of `values`: that of the held handle minus that of the free one.
 
     The interval is that of two independent fits (Welch and Satterthwaite); its lower bound is at least 0.
     """
@@ -123,7 +126,7 @@ def fit(record: Record, free: Fit | None = None) -> Fit:
 
 
 def held_forces(record: Record) -> list[Floats]:
-    """Return both models of the held force, (n,) each, without the delay: running mean and staircase."""
+    """Return both models of a force that the actuator holds: running mean and staircase, each (n,), without delay."""
     periods = max(1, round(record.hold_s * record.rate_hz))
     if periods == 1:
         return [record.force_n]
@@ -137,12 +140,12 @@ def held_forces(record: Record) -> list[Floats]:
 
 
 def model_motion(record: Record, found: Fit) -> Floats:
-    """Return the fit's position and velocity (n, 2) at the periods of a complete drive, from rest."""
+    """Return the modelled position and velocity (n, 2) of the handle, from rest, at each servo period of a drive."""
     return _motion(np.array(found.values), np.zeros(3), held_forces(record)[-1], record.rate_hz)
 
 
 def _motion(values: Floats, start: Floats, force_n: Floats, rate_hz: float) -> Floats:
-    """Return position and velocity (n, 2) at the periods of `force_n`, for `values` m, b, c, k and `start` x, v, g."""
+    """Return position and velocity (n, 2) at each period of `force_n`. `values` are m, b, c, k; `start` is x, v, g."""
     config = ffi.new("struct hd_sim_config *")
     config.handle_mass_kg, config.handle_damping_n_s_per_m, config.coulomb_friction_n = values[:3]
     config.hand_stiffness_n_per_m = values[_STIFFNESS]
@@ -204,7 +207,7 @@ class _Fitting:
         self._values = self._guess()
 
     def _window(self, force: Floats, burst: Burst) -> _Window | None:
-        """Return the fitted part of a burst, None if the handle did not move."""
+        """Return the part of a burst to be fitted, None if the handle did not move."""
         record, begin, end = self._record, burst.begin, burst.end
         lead = round(BURST_LEAD_TIME_S * record.rate_hz)
         first = max(0, begin - lead)
@@ -266,7 +269,7 @@ class _Fitting:
         return position, moved[index, 1] + part * (moved[index + 1, 1] - moved[index, 1])
 
     def _start_slopes(self, values: Floats, start: Floats, window: _Window) -> Floats:
-        """Return the derivatives (n, 3) of the position with respect to the burst's start."""
+        """Return the derivatives (n, 3) of the position with respect to a burst's `start` x, v, g."""
         model, _ = self._model(values, start, window)
         scale = window.start_scale
         slopes = np.empty((len(model), 3))
@@ -279,7 +282,7 @@ class _Fitting:
         return slopes
 
     def _fit_start(self, values: Floats, start: Floats, window: _Window) -> tuple[Floats, Floats]:
-        """Fit the start of one burst, beginning from `start`; return it and the residual (n,)."""
+        """Fit one burst's initial position, speed and constant force; return them and the residual (n,)."""
         from scipy.optimize import least_squares
 
         found = least_squares(
@@ -295,7 +298,7 @@ class _Fitting:
         return found.x, found.fun
 
     def _residual(self, values: Floats) -> Floats:
-        """Return the residual of all bursts, each with its best start."""
+        """Return the residual of all bursts, each with its best initial position, speed and constant force."""
         lefts = []
         for window in self._windows:
             window.start, left = self._fit_start(values, window.start, window)
@@ -305,7 +308,7 @@ class _Fitting:
     def _slopes(self, values: Floats) -> list[Floats]:
         """Return for each burst the derivatives (n, 5) with respect to m, b, c, k and d, times their scales.
 
-        They are projected onto the orthogonal complement of _start_slopes.
+        The derivatives are projected onto the orthogonal complement of _start_slopes.
         """
         scale = self._scale(values)
         found = []
@@ -324,7 +327,7 @@ class _Fitting:
         return found
 
     def _scale(self, values: Floats) -> Floats:
-        """Return the magnitude of a significant change of m, b, c, k and d."""
+        """Return the magnitude of a significant change of each of m, b, c, k and d, used as their scale."""
         force = float(np.abs(self._record.force_n).max())
         mass = values[_MASS]
         return np.array([mass, max(values[1], mass), max(values[2], 0.02 * force), max(values[3], 10 * mass), 1e-3])
@@ -332,14 +335,14 @@ class _Fitting:
     # ---- The fit --------------------------------------------------------------------------------------------------
 
     def run(self) -> Fit:
-        """Run the fit."""
+        """Fit m, b, c, k and d to all bursts; return the fit with its errors."""
         self._descend()
         # The start of a burst that begins while friction stops the handle may be a wrong local minimum.
         self._retry_starts()
         return self._result(self._descend())
 
     def _descend(self) -> Floats:
-        """Move to the next local minimum of the sum of squares; return the residual."""
+        """Move m, b, c, k and d to the next local minimum of the residual's sum of squares; return the residual."""
         from scipy.optimize import least_squares
 
         fitted = self._fitted
@@ -423,7 +426,7 @@ class _Fitting:
         )
 
     def _spectral_lines(self) -> Iterable[tuple[float, complex, complex]]:
-        """Yield frequency, measured and modelled spectrum of each burst that moves the handle by at least a step."""
+        """Yield frequency, measured and modelled spectrum of each burst that moves the handle by an encoder step."""
         mass, damping, _, stiffness, _ = self._values
         for window in self._windows:
             s = 2j * math.pi * window.frequency_hz

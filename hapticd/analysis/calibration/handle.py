@@ -36,7 +36,7 @@ _MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """The result of a calibration: both drives and their fits."""
+    """The result of a calibration: the drives of the free and of the held handle, and their fits."""
 
     kind: str
     axis: Axis
@@ -58,14 +58,14 @@ class Calibration:
 
     @property
     def resting(self) -> Resting:
-        """Noise and step of the free handle's positions before the first burst."""
+        """Noise and smallest step of the free handle's positions before the first burst."""
         free = self.records[0]
         begin = min((burst.begin for burst in free.bursts), default=0)
         return at_rest(free.position_m[:begin], free.step_m, free.rate_hz)
 
     @property
     def bandwidth_at_least_hz(self) -> float:
-        """Lower bound of the actuator's bandwidth in Hz: that of a first-order lag that causes all of the delay.
+        """Lower bound of the actuator's bandwidth in Hz: the cutoff of a first-order lag that causes the delay.
 
         The encoder cannot distinguish a lag from a delay. The bound is infinite without a delay.
         """
@@ -147,7 +147,7 @@ class Calibration:
 
 
 def _measured(fit: Fit, heard: AccelerometerResponse | None) -> list[tuple[str, Sequence[Point]]]:
-    """Return the measured points (ratios to the fit) of each sensor, by the sensor's name."""
+    """Return the measured responses, divided by the fit's, of encoder and accelerometer, by the sensor's name."""
     return [("encoder", fit.points), ("accelerometer", () if heard is None else heard.points)]
 
 

@@ -5,7 +5,7 @@ of a configuration, have the same members, and raise HapticdError if they fail:
 
 strike(mode, amplitude, direction)  strike a mode with a coefficient; return the first tick that renders the mode
 run(duration_s)                     run for a time; return the samples of that time, (n,) records of SAMPLE_DTYPE
-with rig:                           at the end of the block the force is zero
+with rig:                           when the `with` statement ends, the force is zero
 rate_hz, output                     rate of the servo, and how it renders for the device
 hold_s                              how long the actuator holds a force: a period of the servo or of its link
 force_steps_n                       steps of the actuator's force along x and y, 0 if unknown
@@ -65,7 +65,7 @@ class SimRig:
 
 
 class ServoRig:
-    """A device at a servo that runs in this process, started as by the daemon. Forces are on from the start."""
+    """A device whose servo runs in this process, started as the daemon does. The device's forces are on at once."""
 
     def __init__(self, config: Config) -> None:
         """Start the servo. Raises HapticdError if the device or the servo cannot be started."""
@@ -94,7 +94,7 @@ class ServoRig:
         self.close()
 
     def _check_signs(self) -> None:
-        """Wait until the signs of the device's forces are checked. Raises HapticdError after SIGNS_CHECK_TIMEOUT_S."""
+        """Wait for the servo to check the signs of the device's forces; HapticdError after SIGNS_CHECK_TIMEOUT_S."""
         deadline = time.monotonic() + SIGNS_CHECK_TIMEOUT_S
         while (signs := self._engine.counters().signs).holds_back:
             self.run(SERVO_POLL_INTERVAL_S)

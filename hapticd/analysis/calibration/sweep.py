@@ -51,13 +51,13 @@ Axis = Literal["x", "y"]
 
 @dataclass(frozen=True, slots=True)
 class Burst:
-    """A burst of the drive."""
+    """A burst of the drive: a decaying mode of one frequency."""
 
     frequency_hz: float
     force_n: float
     """Coefficient of the mode as a force, negative if struck in the negative direction of the axis."""
     begin: int
-    """First servo period."""
+    """First servo period of the burst."""
     end: int
     """First servo period after the burst."""
 
@@ -116,7 +116,7 @@ def travel_m(config: Config) -> float:
 
 
 class Sweep:
-    """A drive along one axis of a rig.
+    """A drive (sequence of bursts) along one axis of a rig.
 
     The drive ends at `highest_hz`, by default when the motion falls below a step of the encoder. `progress` is called
     with a text for each burst.
@@ -140,7 +140,10 @@ class Sweep:
         self._bursts: list[tuple[float, float, int, int]] = []
 
     def run(self) -> Record:
-        """Run the drive. Raises HapticdError if the handle leaves the middle third of its travel or does not move."""
+        """Play all bursts; return their record.
+
+        Raises HapticdError if the handle leaves the middle third of its travel or does not move.
+        """
         # The noise of the positions is measured before the free handle is driven.
         self._wait(DRIVE_REST_TIME_S if self._held else 1.0)
         for force in (self._max_n / 4, self._max_n):
@@ -178,7 +181,7 @@ class Sweep:
             frequency *= 1.25
 
     def _play_bursts(self, reach_m: float, force_n: float, frequencies: Iterator[float]) -> None:
-        """Play bursts; a previous burst at FIRST_BURST_HZ and `force_n` moved the handle by `reach_m`."""
+        """Play bursts of these frequencies; at FIRST_BURST_HZ, `force_n` moved the handle by `reach_m`."""
         # A burst should move the handle by 0.4 of the middle third.
         allowed = 0.4 * MAX_TRAVEL_FRACTION * self._travel_m
         # The resonance of a held handle determines its mass: bursts above 5 Hz are played twice.
@@ -206,7 +209,7 @@ class Sweep:
         return float(np.ptp(positions))
 
     def _wait(self, duration_s: float) -> Floats:
-        """Run the rig for a time; return the positions (n,). Raises HapticdError if the handle leaves the middle."""
+        """Run the rig; return the positions (n,). Raises HapticdError if the handle leaves the middle third."""
         seen = []
         left_s = duration_s
         while left_s > 0:

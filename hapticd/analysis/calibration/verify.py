@@ -68,11 +68,11 @@ class Strike:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The comparison of a displayed strike with the library's waveform."""
+    """Error and strength of a displayed strike, compared with the library's waveform."""
 
     strike: Strike
     displayed_hz: float | None
-    """Displayed frequency; None if the mode is silent because the rate cannot carry it."""
+    """Displayed frequency; None if the mode is silent because its frequency is too high for the rate."""
     force_n: float
     """Largest commanded force."""
     error: float
@@ -115,7 +115,7 @@ def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = DEFAULT
 
 
 def _tap_strikes(name: str, material: Material, speed_m_per_s: float) -> list[Strike]:
-    """Return the strikes of a tap's mode and any second mode, which may be negative; empty if the tap does not ring."""
+    """Return the strikes of a tap's one or two modes; the second coefficient may be negative. Empty without a mode."""
     tap = material.tap
     if tap is None or tap.ringing is None or not (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
         return []

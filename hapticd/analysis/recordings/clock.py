@@ -53,9 +53,9 @@ MIN_SAMPLES_PER_GAP: Final = 50
 
 
 def uniform(found: Columns, rate_hz: float | None, rounding_s: float) -> tuple[Columns, float, Gaps]:
-    """Return the columns on a uniform clock, its rate in Hz, and the gaps, in which the columns are straight lines.
+    """Return the columns on a uniform clock, its rate in Hz, and the gaps, in which samples are interpolated linearly.
 
-    `rounding_s` is the rounding of the times as far as it is known; a coarser one is detected. Raises ValueError.
+    `rounding_s` is the rounding of the times as far as it is known; coarser rounding is detected. Raises ValueError.
     """
     check_columns(found)
     columns: Columns = {quantity: values for quantity, values in found.items() if quantity != "time"}
@@ -105,7 +105,7 @@ def _clock_from_times(
 ) -> tuple[Callable[[Floats], Floats] | None, float, Gaps]:
     """Return a function that resamples a column (n,) to a uniform clock, the clock's rate in Hz, and its gaps.
 
-    On an already uniform clock the function is omitted (None). Raises ValueError.
+    If the clock is already uniform, None is returned in place of the function. Raises ValueError.
     """
     since_s = time_s - time_s[0]
     at = np.arange(len(time_s)) - (len(time_s) - 1) / 2
@@ -200,7 +200,7 @@ def _is_wandering_clock(since_s: Floats, period_s: float) -> bool:
 
 
 def _decimal_rounding_s(time_s: Floats) -> float:
-    """Return the decimal place to which times are rounded, in s, such as 1e-3; 0 if no rounding is found.
+    """Return the step to which times are rounded, in s, such as 1e-3; 0 if no rounding is found.
 
     Only the later half is read: with a fixed number of digits, the largest times have the fewest decimal places.
     """

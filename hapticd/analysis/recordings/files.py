@@ -250,7 +250,7 @@ def _number(cell: str, delimiter: str) -> float | None:
 
 
 def npz_table(content: bytes) -> Table:
-    """Return the columns of an .npz: arrays of one dimension, and `name[1]`, `name[2]` ... of those with two.
+    """Return the columns of an .npz: each array of one dimension, and `name[1]`, `name[2]` ... of each array of two.
 
     Arrays of Python objects are not loaded.
     """
@@ -294,7 +294,7 @@ def npz_table(content: bytes) -> Table:
 
 
 def _arrays(content: bytes) -> dict[str, npt.NDArray[Any] | str]:
-    """Return the arrays of an archive by name, or the reason why one cannot be read."""
+    """Return the arrays of an archive by name; an array that cannot be read is replaced by the reason."""
     found: dict[str, npt.NDArray[Any] | str] = {}
     # zipfile, its decompressors and numpy raise a dozen kinds of exceptions for damaged bytes.
     try:

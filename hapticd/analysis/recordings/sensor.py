@@ -51,7 +51,7 @@ class Sensor(Model):
         return tuple(found)
 
     def response(self, pole: complex, since_s: npt.NDArray[np.float64]) -> tuple[Complexes, Complexes, Complexes]:
-        """Return y, dy/dp and dy/dt, each (n,), for p = `pole` in rad/s at the times `since_s` (n,) from 0 s."""
+        """Return the response y to exp(p t), dy/dp and dy/dt, each (n,), for p = `pole` (rad/s), t = `since_s` >= 0."""
         poles = np.array(self.poles, dtype=np.complex128)
         gain = complex(np.prod(-poles / (pole - poles)))
         turned = np.exp(pole * since_s)
