@@ -68,7 +68,7 @@ class Column(NamedTuple):
     """Value in the row of an event without the member, or with None."""
 
     def cell(self, event: Mapping[str, Any]) -> object:
-        """Return the value of the column in the row of an event."""
+        """Return the value of this column for an event; `absent` if the event lacks the member or has None."""
         value = event.get(self.name)
         if value is None:
             return self.absent
@@ -159,7 +159,7 @@ def members_of(event: str) -> frozenset[str] | None:
 def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
     """Yield the events in rows of a .npz.
 
-    An event of an unknown kind has the members whose values are not reserved for missing ones.
+    An event of an unknown kind has the members whose cells do not hold the value for a missing member.
     """
     names = rows.dtype.names or ()
     forms = [rows.dtype[name].str[1:] for name in names]

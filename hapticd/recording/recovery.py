@@ -63,7 +63,7 @@ def recover(target: str | os.PathLike[str]) -> Recovered:
 
 
 def _recover(recording: Path, part: Path) -> Path | str:
-    """Recover one partial file; return the path of the recording, or the reason of the failure."""
+    """Make a recording of one partial file; return its path, or the reason why the file was not recovered."""
     if not part.with_suffix(NOTES_ENDING).exists():
         return _DAMAGED_TEXT
     try:

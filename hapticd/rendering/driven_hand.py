@@ -43,7 +43,7 @@ _MAX_RESIDUAL_NOISE_PART: Final = 0.05
 def driven_hand_warnings(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:
     """Return a warning for each of the materials whose texture drives the hand of `loop` in typical strokes.
 
-    Nothing is checked without a hand, as nothing presses then, nor with vibrations off.
+    Returns no warnings if the loop has no hand, as nothing presses then, or if vibrations are off.
     """
     hand = loop.dynamics
     if hand.grip_stiffness_n_per_m <= 0.0 or not config.scene.display.vibration:

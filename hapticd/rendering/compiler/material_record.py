@@ -32,7 +32,7 @@ _SIGNED_MEMBERS: Final = (
 
 
 def struck_modes(material: Material) -> Iterator[Mode]:
-    """Yield the modes that a device may play as effects."""
+    """Yield the modes of a material that a device may play itself, as effects: those of tap and rupture."""
     if material.tap is not None and material.tap.one_mode is not None:
         yield material.tap.one_mode
     if material.rupture is not None:
@@ -42,7 +42,7 @@ def struck_modes(material: Material) -> Iterator[Mode]:
 def material_record(
     material: Material, noise_index: int, output: Output, effects: Mapping[Mode, Effect | None] = MappingProxyType({})
 ) -> tuple[CData, Numbers]:
-    """Return a `struct hd_material *` and the arrays for `numbers`, whose indices are not yet set in it.
+    """Return a material's record, a `struct hd_material *` without the indices of its arrays, and these arrays.
 
     `noise_index` is the index of the material's noise, if any. `effects` are what a device plays in place of modes.
     """

@@ -30,7 +30,7 @@ def mode_record(
     effect: Effect | None = None,
     touched: Touched = NO_SURFACE,
 ) -> tuple[float | list[float], ...]:
-    """Return the members of a `struct hd_mode`, in its order.
+    """Return the members of a mode's record, in the order of `struct hd_mode`.
 
     `amplitude_per_unit` (m/s^2 per unit of the excitation) is reported, `coefficient_per_unit` sets the force. The
     compensation is designed for the surface `touched`; at a strike, the core adapts it to the surface in contact.

@@ -47,7 +47,7 @@ class Records:
         self._hold(records(dtype, 16))
 
     def _hold(self, array: npt.NDArray[np.void]) -> None:
-        """Set the array, its view as bytes, and its pointer."""
+        """Set the array of records, its view as bytes, and its pointer."""
         self.array = array
         self.memory = array.view(np.uint8).data
         self.pointer: CData = pointer(self._ctype + "[]", array)
