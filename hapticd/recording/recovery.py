@@ -22,7 +22,7 @@ _DAMAGED_TEXT: Final = "damaged; left unchanged"
 
 
 class Recovered(NamedTuple):
-    """Recovered recordings, and a line of text for each partial file that could not be recovered."""
+    """Paths of recovered recordings, and a line of text for each partial file that could not be recovered."""
 
     files: list[Path]
     problems: list[str]

@@ -54,7 +54,7 @@ _REASON_OF_LEFT_OUT: Final = {
 }
 """Text for each key of `Replay.left_out` in a summary."""
 _UNSETTLED_FLAGS: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
-"""Flags of a tick whose state depends on earlier ticks."""
+"""Flags of ticks at which a replay cannot begin, as the state depends on earlier ticks."""
 _MAX_PERIODS: Final = 0xFFFFFFFF
 """Maximum number of periods between two ticks."""
 
@@ -266,7 +266,7 @@ def _difference(between: npt.NDArray[np.float64]) -> Difference:
 
 
 def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:
-    """Return possible reasons for different forces, which recordings do not hold."""
+    """Return possible reasons why rendered forces differ: causes that recordings do not hold."""
     noise = any(
         isinstance(revision.materials[name].texture, Stochastic | Autoregressive)
         for revision in revisions

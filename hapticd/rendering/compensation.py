@@ -43,14 +43,14 @@ MAX_STRIKE_FORCE_RATIO: Final = 2.0
 MAX_TAIL_EXTENSION_S: Final = 0.05
 """Longest time by which a tail may outlast its mode."""
 MIN_TAIL_ERROR_REDUCTION: Final = 0.005
-"""A tail costs as much time as a mode. It is used only if it lowers the displayed error by more than this."""
+"""A tail costs a tick as much time as a mode. It is used only if it lowers the displayed error by more than this."""
 MIN_KICK_RATE_FRACTION: Final = 0.05
-"""Lowest frequency of a mode that gets kicks, as a fraction of the rate. The first samples of slower ones are small."""
+"""Lowest frequency of a mode that gets kicks, as a fraction of the rate. First samples of slower modes are small."""
 MIN_KICK_ERROR_REDUCTION: Final = 0.01
 """Kicks are used only if they lower the displayed error, RMS over all onsets, by more than this."""
 
 _ONSET_FRACTIONS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Onsets for which kicks are designed, in periods before the first tick."""
+"""Onsets of the strike for which kicks are designed, in periods before its first tick."""
 _MODE_TIME_CONSTANTS: Final = 5.0
 """A mode ends five time constants after its last strike."""
 _PEAK_GRID_SAMPLES: Final = 512

@@ -1,6 +1,6 @@
 """Which vibrations of a scene a device and rate can display, and how the others are displayed.
 
-A vibration that the rate cannot carry is muted or lowered in frequency, as `displayed_mode`, `displayed_wave_rate` and
+A vibration above 0.4 of the rate is muted or lowered in frequency, as `displayed_mode`, `displayed_wave_rate` and
 `displayed_pair` decide. Three functions report: `undisplayable` the vibrations that are muted or lowered; `rate_faults`
 those that are refused; `warnings` those that are displayed with a deviation. A report gives the place of a vibration in
 the configuration file: `materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
@@ -170,7 +170,7 @@ def mode_path(use: Use) -> Path:
 
 
 def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Undisplayable]:
-    """Return the modes, waveforms and textures of these materials that the rate cannot carry."""
+    """Return the modes, waveforms and textures of these materials whose frequency is too high for the rate."""
     found: list[Undisplayable] = []
     for name, material in materials.items():
         for use, mode in modes_of(material):

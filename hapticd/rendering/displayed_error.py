@@ -115,7 +115,8 @@ def band_error(
 def waveform_error(waveform: Waveform, dynamics: Dynamics, rate_hz: float, effective_mass_kg: float) -> float:
     """Return the displayed error of a tap that plays a waveform and begins at a tick.
 
-    The error is that of displayed_error, without compensation and without a lag of the actuator.
+    It is the RMS difference of the handle's acceleration from the waveform, divided by the RMS of the waveform, both in
+    the error band. The force is neither compensated nor delayed by the actuator.
     """
     ticks = math.ceil((waveform.length_s + _SETTLING_TIME_S) * rate_hz)
     force = effective_mass_kg * waveform.curve.at(np.arange(ticks) / rate_hz)

@@ -37,7 +37,7 @@ _MAX_SETTLING_S: Final = 20.0
 _OBSERVED_END_S: Final = 1.0
 """Time at the end of a run in which strikes and noise are counted."""
 _MAX_RESIDUAL_NOISE_PART: Final = 0.05
-"""The hand's motion sustains noise whose force at the end exceeds this fraction of its largest value."""
+"""Noise counts as sustained by the hand if its force at the end exceeds this fraction of its largest value."""
 
 
 def driven_hand_warnings(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:

@@ -30,7 +30,7 @@ FIRST_COMPARISON_WINDOWS: Final = 64
 MAX_CYCLE_ENERGY_DEVIATION: Final = 0.01
 """In a regular cycle the energy of no window deviates from the mean by more than this fraction."""
 MIN_ENERGY_TREND: Final = 0.1
-"""An irregular motion grows or falls if its energy changes by this fraction in the last quarter of the time."""
+"""The energy of an irregular motion grows or falls if it changes by this fraction in the time's last quarter."""
 WAIT_AFTER_MOTION_S: Final = 0.2
 """Time from the hand's last waypoint to the beginning of the analysis."""
 

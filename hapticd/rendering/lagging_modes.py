@@ -23,7 +23,7 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import Touched, displayed_mode, mode_path, modes_of, struck_shapes, touched_by
 
 MAX_AMPLITUDE_ERROR: Final = 0.1
-"""Largest amplitude error, as a fraction, without a report: that of modes at half the bandwidth, with order 1."""
+"""Largest unreported amplitude error, as a fraction: that of a mode at half the bandwidth of an actuator of order 1."""
 _BANDWIDTH_SEARCH_FACTOR: Final = 1.5
 """Factor between the bandwidths that are tried."""
 _BANDWIDTH_BISECTIONS: Final = 3

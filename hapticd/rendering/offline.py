@@ -66,7 +66,7 @@ class Run:
     truth: Floats | None
     """(n, 4) exact position (m) and velocity (m/s) of the simulated handle at each tick; None for `render`."""
     undisplayable: tuple[Undisplayable, ...]
-    """Modes and texture peaks of the scene that this rate cannot carry."""
+    """Modes and texture peaks of the scene whose frequency is too high for this rate."""
     warnings: tuple[Problem, ...]
     """Deviations in the display of the scene at this rate; in the closed loop also contact sets that may oscillate."""
     rate_hz: float

@@ -49,9 +49,9 @@ _SAMPLED_TICKS: Final = 1000
 _MAX_DELAY_PERIODS: Final = 40
 """Largest delay in loop_matrix, in periods; a longer one is modelled with a longer period."""
 _MIN_SEARCHED_N_PER_M: Final = 0.1
-"""Stiffness at which the search of held_factor begins."""
+"""Stiffness at which held_factor begins its search for the largest stable one."""
 _MAX_SEARCHED_N_PER_M: Final = 1e7
-"""Largest stiffness that held_factor tries."""
+"""Largest stiffness that held_factor tries in its search."""
 MAX_STABLE_RADIUS: Final = 1.0 + 1e-6
 """Spectral radius above which a loop counts as growing. A free handle has the eigenvalue 1, which may be rounded up."""
 

@@ -33,7 +33,7 @@ class _KindMargins(NamedTuple):
     """Terms of the stability margin that surfaces of one kind share, independent of position and orientation."""
 
     passive: float
-    """Factor on the stiffness up to which the surface is passive."""
+    """Factor by which the stiffness may grow before the surface is no longer passive."""
     along_n: float
     """Noise along the normal that grows with the stiffness."""
     across_n: float

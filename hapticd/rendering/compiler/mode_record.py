@@ -17,7 +17,7 @@ Effect: TypeAlias = tuple[int, float, float]
 _NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
 """Members of `struct hd_mode` for a mode without a tail."""
 _NO_FREE: Final[tuple[float, ...]] = (0.0,) * 6
-"""Members of `struct hd_mode` for strikes without a surface, if the mode is not compensated."""
+"""Members of `struct hd_mode` that serve strikes without a surface, for a mode that is not compensated."""
 _NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * MAX_CORRECTED_SAMPLES), 0, 0)
 """Members of `struct hd_mode` for a mode without kicks."""
 

@@ -35,12 +35,12 @@ if _OBJECT_RECORD.size != OBJECT_DTYPE.itemsize:
     raise ImportError("compiler/table.py: _OBJECT_RECORD must have the size of struct hd_object (csrc/api/hd_api.h)")
 
 MAX_BRAKED_MOMENTUM_PART: Final = 0.1
-"""Largest fraction of the handle's momentum that the passivity controller removes in a period."""
+"""Largest fraction of the handle's momentum that the passivity controller's brake removes in a period."""
 
 _PERIOD_TOLERANCE: Final = 1e-6
 """Ages are rounded up to multiples of the period, but down if they exceed one by at most this fraction of a period."""
 _NO_FIELD: Final = (0.0,) * 4
-"""The `_Field` of an object that is not a field."""
+"""Force law of an object that is not a field: no force."""
 _QUANTA_PER_UNIT: Final = 1 << 1074
 """Every double is an integer multiple of 1/_QUANTA_PER_UNIT."""
 _Place: TypeAlias = tuple[float, float, float, float, float, float]
@@ -151,7 +151,7 @@ class Compiler:
         self._table.handle_friction_n = 0.0 if known is None else known.friction_n
 
     def slot_of(self, id: str) -> tuple[int, int] | None:
-        """Return a surface's slot, and the generation that tells apart its owners; None for a field or unknown id."""
+        """Return a surface's slot and generation (the number of the slot's owner); None for a field or unknown id."""
         slot = self._slots.get(id)
         owner = None if slot is None else self._owners[slot]
         return None if slot is None or owner is None else (slot, owner[0])
