@@ -58,7 +58,7 @@ NULLABLE_MEMBERS: Final = frozenset(("object", "true_speed_m_per_s", "data"))
 
 
 class Column(NamedTuple):
-    """A column of the array of events."""
+    """A column, for one member, of the array of events in a recording."""
 
     name: str
     kind: Kind
@@ -121,7 +121,7 @@ def _guessed(types: set[type]) -> Kind:
 
 
 def dtype_of(columns: Iterable[Column]) -> np.dtype[np.void]:
-    """Return the dtype of the array of events."""
+    """Return the numpy dtype of the array of events with these columns."""
     return np.dtype([(column.name, column.form) for column in columns])
 
 

@@ -70,7 +70,7 @@ class Recording:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The keys `servo` and `device` of the configuration."""
+        """The configuration's keys `servo` and `device`, with their values."""
         return self._map("config")
 
     @property

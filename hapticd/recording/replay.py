@@ -101,7 +101,7 @@ class Replay:
     """Path of the replayed recording."""
 
     def summary(self) -> str:
-        """Return the result as one line of text."""
+        """Return the result of the replay as one line of text."""
         ticks = len(self.samples)
         text = f"{ticks:,} of {wording.count(self.ticks, 'tick')} rendered again, "
         if self.identical == ticks:
@@ -133,7 +133,7 @@ class Replay:
             writer.finish()
 
     def to_dict(self) -> dict[str, object]:
-        """Return the result as plain data, without samples and events."""
+        """Return the result of the replay as plain data, without samples and events."""
         return {
             "ticks": self.ticks,
             "replayed": len(self.samples),

@@ -141,12 +141,12 @@ class RecordingWriter:
             self.last_tick, self.last_time_ns = int(samples["tick"][-1]), int(samples["time_ns"][-1])
 
     def write_event(self, event: Texts) -> None:
-        """Append an event."""
+        """Append an event to the recording."""
         self._note("event", event)
         self.event_count += 1
 
     def write_change(self, change: Texts) -> None:
-        """Append a change that a command made."""
+        """Append an entry to the recording's list `changes`: what a command changed or did."""
         self._note("change", change)
 
     def write_all(self, texts: Texts, changes: Iterable[Texts], samples: Samples, events: Iterable[Texts]) -> None:

@@ -72,7 +72,7 @@ class Load:
 
     @property
     def free(self) -> Load:
-        """This load without the surface."""
+        """This load without the surface: only the actuator's lag."""
         return Load(actuator=self.actuator)
 
     def lag(self, s: _Complex) -> _Complex:
@@ -380,7 +380,7 @@ def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
 
 
 def _tails(mode: Mode, rate_hz: float) -> list[complex]:
-    """Return the poles of the tails to try.
+    """Return the poles of the tails (second decaying part of a strike's force) to try.
 
     A slow tail compensates the transient of the hand's spring and damper, a fast one that of the first held samples.
     """

@@ -296,7 +296,7 @@ class ContactSets:
         return len(self._sums)
 
     def members(self, number: int) -> tuple[int, ...]:
-        """Return the slots of a set, in ascending order."""
+        """Return the slots of the surfaces of a contact set, in ascending order."""
         return self._members(number)
 
     def matrices(self, number: int) -> tuple[Floats, Floats]:

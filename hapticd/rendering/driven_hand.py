@@ -74,13 +74,13 @@ def materials_with_vibration(shown: Mapping[str, Material]) -> Iterable[str]:
 
 
 def _late_strikes(run: Run) -> int:
-    """Return the number of strikes in the last second of a run."""
+    """Return the number of strikes in the last second of a simulated stroke."""
     last_s = len(run.samples) / run.rate_hz - _OBSERVED_END_S
     return int((run.events[run.events["kind"] == EventKind.GROOVE]["time_ns"] * 1e-9 > last_s).sum())
 
 
 def _is_noise_sustained(run: Run) -> bool:
-    """Return whether noise lasts into the last second of a run."""
+    """Return whether noise lasts into the last second of a simulated stroke."""
     force = np.abs(run.samples["vibration_force_n"][:, 0])
     late = force[-round(_OBSERVED_END_S * run.rate_hz) :]
     return bool(late.max() > _MAX_RESIDUAL_NOISE_PART * force.max())

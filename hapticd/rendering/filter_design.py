@@ -240,7 +240,7 @@ class _Family:
 
     @property
     def y_peak(self) -> float:
-        """The value of y = 1 - cos w at the peak."""
+        """The peak's position on the axis y = 1 - cos w."""
         return 2 * math.sin(self.peak / 2) ** 2
 
     def tilt(self, size: Array) -> Array:

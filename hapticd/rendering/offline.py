@@ -226,7 +226,7 @@ class Rerun:
         return self._compiler.name_of(int(event["slot"]), int(event["generation"]))
 
     def run(self, recorded: Samples, interval_s: Floats, periods: npt.NDArray[np.uint32]) -> tuple[Samples, Events]:
-        """Return samples and events of (n,) recorded ticks.
+        """Render (n,) recorded ticks again, and return the rendered samples and events.
 
         `interval_s` (n,) is the time from the previous position report to that of a tick, 0 without a new report.
         `periods` (n,) is the number of periods since the previous tick.
@@ -354,7 +354,7 @@ def render(
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
 ) -> Samples:
-    """Return the forces for a path of positions, open loop.
+    """Return the samples, with forces, for a given path of positions (open loop).
 
     `config` is the content of a YAML file (materials, device, scene), as a mapping or a path. `position_m` has shape
     (n, 2), one position for each tick, used without encoder, delay or actuator resolution. `rate_hz`, ticks per

@@ -58,7 +58,7 @@ class Resting:
 
     @property
     def rearm_m(self) -> float:
-        """The smallest rearm_m for these positions."""
+        """The smallest device.rearm_m with at most one false tap a day for these positions."""
         return least_rearm_m(self.noise_m, self.step_m, self.rate_hz)
 
     def to_dict(self) -> dict[str, float]:

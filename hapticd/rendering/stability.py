@@ -236,7 +236,7 @@ class Loop:
         return SPEED_ESTIMATE_ERROR_GAIN * self.encoder_step_m / self.timing.reading_s
 
     def to_dict(self) -> dict[str, object]:
-        """Return the assumptions that `hapticd check` reports."""
+        """Return the properties of the loop that `hapticd check` reports as assumptions."""
         return {
             **asdict(self.dynamics),
             "encoder_step_m": self.encoder_step_m,
@@ -249,7 +249,7 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """Stiffness of a contact set, and its limits."""
+    """Stiffness of a contact set, the limits of this stiffness, and the eigenvalues of the loop."""
 
     objects: tuple[str, ...]
     stiffness_n_per_m: float

@@ -12,7 +12,7 @@ Ints = npt.NDArray[np.int64]
 
 
 class SurfaceTable(NamedTuple):
-    """Arrays of the compiler, valid until its table is updated."""
+    """Arrays of objects, materials and wall pieces in the compiler, valid until its table is updated."""
 
     objects: npt.NDArray[np.void]
     """OBJECT_DTYPE, by slot."""

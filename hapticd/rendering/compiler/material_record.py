@@ -120,7 +120,7 @@ def _put_tap(
 
 
 def _put_waveform(record: CData, waveform: Waveform, slope: float, coefficient: float, output: Output) -> None:
-    """Fill in a tap that plays a waveform."""
+    """Fill in the members of a material's record for a tap that plays a waveform."""
     rate_hz = displayed_wave_rate(waveform, output)
     shown_hz = waveform.rate_hz if rate_hz is None else rate_hz
     tap, slowed = record.tap, waveform.rate_hz / shown_hz

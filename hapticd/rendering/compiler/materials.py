@@ -29,13 +29,13 @@ class Effects(Protocol):
         ...
 
     def give(self, mode: Mode) -> None:
-        """Remove a use of a mode."""
+        """Remove a use of a mode that `take` registered."""
         ...
 
 
 @dataclass(slots=True)
 class _Used:
-    """A material in use."""
+    """A material that an object of the scene has, and its parts in the table."""
 
     name: str
     material: Material
@@ -193,7 +193,7 @@ class Materials:
         return self._rows.array[: self._places.count]
 
     def write(self, table: CData) -> None:
-        """Put materials, noises and numbers into a table."""
+        """Put the records of materials and noises, and their array `numbers`, into a table."""
         if self._numbers_changed:
             self._rebuild_numbers()
         table.material_count = self._places.count

@@ -89,7 +89,7 @@ def _field_of(item: SceneObject | None) -> _Field | None:
 
 
 def _quanta(value: float) -> int:
-    """Return the value as a multiple of 1/_QUANTA_PER_UNIT."""
+    """Return the value as a multiple of 1/_QUANTA_PER_UNIT, for sums without rounding."""
     numerator, denominator = value.as_integer_ratio()
     return numerator * (_QUANTA_PER_UNIT // denominator)
 
