@@ -58,7 +58,7 @@ NULLABLE_MEMBERS: Final = frozenset(("object", "true_speed_m_per_s", "data"))
 
 
 class Column(NamedTuple):
-    """A column of the array of events."""
+    """A column, for one member, of the array of events in a recording."""
 
     name: str
     kind: Kind
@@ -68,7 +68,7 @@ class Column(NamedTuple):
     """Value in the row of an event without the member, or with None."""
 
     def cell(self, event: Mapping[str, Any]) -> object:
-        """Return the value of the column in the row of an event."""
+        """Return the value of this column for an event; `absent` if the event lacks the member or has None."""
         value = event.get(self.name)
         if value is None:
             return self.absent
@@ -121,7 +121,7 @@ def _guessed(types: set[type]) -> Kind:
 
 
 def dtype_of(columns: Iterable[Column]) -> np.dtype[np.void]:
-    """Return the dtype of the array of events."""
+    """Return the numpy dtype of the array of events with these columns."""
     return np.dtype([(column.name, column.form) for column in columns])
 
 
@@ -159,7 +159,7 @@ def members_of(event: str) -> frozenset[str] | None:
 def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
     """Yield the events in rows of a .npz.
 
-    An event of an unknown kind has the members whose values are not reserved for missing ones.
+    An event of an unknown kind has the members whose cells do not hold the value for a missing member.
     """
     names = rows.dtype.names or ()
     forms = [rows.dtype[name].str[1:] for name in names]

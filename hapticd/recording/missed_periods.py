@@ -51,13 +51,13 @@ def rates_of(
 
 
 def gaps_of(ticks: npt.NDArray[np.int64], before: int | None = None) -> list[tuple[int, int]]:
-    """Return first missing tick and number of missing ticks of each gap. `before` is the tick before `ticks`."""
+    """Return the first tick and the number of ticks of each gap in `ticks`; `before` is the tick before them."""
     steps = np.diff(ticks, prepend=ticks[:1] - 1 if before is None else before)
     return [(int(ticks[place] - steps[place] + 1), int(steps[place]) - 1) for place in np.flatnonzero(steps > 1)]
 
 
 def share(missed: int, rendered: int) -> float:
-    """Return the missed periods as a fraction of all periods."""
+    """Return the fraction of missed periods among all periods, missed and rendered."""
     return missed / (missed + rendered) if missed else 0.0
 
 

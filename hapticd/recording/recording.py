@@ -70,7 +70,7 @@ class Recording:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The keys `servo` and `device` of the configuration."""
+        """The configuration's keys `servo` and `device`, with their values."""
         return self._map("config")
 
     @property
@@ -83,7 +83,7 @@ class Recording:
 
     @property
     def changes(self) -> list[dict[str, Any]]:
-        """Changes by commands, in order; the first entry has the revision at the start."""
+        """Changes that commands made, in order; the first entry has the scene's revision at the start."""
         changes = self.texts.get("changes")
         return [change for change in changes if isinstance(change, dict)] if isinstance(changes, list) else []
 
@@ -208,17 +208,18 @@ def recording_path(target: str | os.PathLike[str]) -> Path:
 
 
 def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
-    """Raise HapticdError as `check_saved` does; for an export, check the .npz, too."""
+    """Raise HapticdError if a new recording cannot be written to `target` or, for an export, to its .npz."""
     check_saved(target, overwrite)
     check_new(recording_path(target), overwrite)
 
 
 @contextmanager
 def recording_into(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator[RecordingWriter]:
-    """Open the writer of a recording, which must be finished in the block.
+    """Open the writer of a recording, whose `finish` must be called in the `with` block.
 
-    Raises HapticdError as `check_target` does, before anything is written. At the end it raises HapticdError if another
-    program has created the target meanwhile, or the export failed; the error names the file that holds the recording.
+    Raises HapticdError as `check_target` does, before anything is written. At the block's end it raises HapticdError if
+    another program has created the target meanwhile, or the export failed; the error names the file that holds the
+    recording.
     """
     check_target(target, overwrite)
     recording = recording_path(target)

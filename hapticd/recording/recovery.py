@@ -22,7 +22,7 @@ _DAMAGED_TEXT: Final = "damaged; left unchanged"
 
 
 class Recovered(NamedTuple):
-    """Recovered recordings, and a line of text for each partial file that could not be recovered."""
+    """Paths of recovered recordings, and a line of text for each partial file that could not be recovered."""
 
     files: list[Path]
     problems: list[str]
@@ -63,7 +63,7 @@ def recover(target: str | os.PathLike[str]) -> Recovered:
 
 
 def _recover(recording: Path, part: Path) -> Path | str:
-    """Recover one partial file; return the path of the recording, or the reason of the failure."""
+    """Make a recording of one partial file; return its path, or the reason why the file was not recovered."""
     if not part.with_suffix(NOTES_ENDING).exists():
         return _DAMAGED_TEXT
     try:

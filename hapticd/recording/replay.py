@@ -54,7 +54,7 @@ _REASON_OF_LEFT_OUT: Final = {
 }
 """Text for each key of `Replay.left_out` in a summary."""
 _UNSETTLED_FLAGS: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
-"""Flags of a tick whose state depends on earlier ticks."""
+"""Flags of ticks at which a replay cannot begin, as the state depends on earlier ticks."""
 _MAX_PERIODS: Final = 0xFFFFFFFF
 """Maximum number of periods between two ticks."""
 
@@ -101,7 +101,7 @@ class Replay:
     """Path of the replayed recording."""
 
     def summary(self) -> str:
-        """Return the result as one line of text."""
+        """Return the result of the replay as one line of text."""
         ticks = len(self.samples)
         text = f"{ticks:,} of {wording.count(self.ticks, 'tick')} rendered again, "
         if self.identical == ticks:
@@ -133,7 +133,7 @@ class Replay:
             writer.finish()
 
     def to_dict(self) -> dict[str, object]:
-        """Return the result as plain data, without samples and events."""
+        """Return the result of the replay as plain data, without samples and events."""
         return {
             "ticks": self.ticks,
             "replayed": len(self.samples),
@@ -266,7 +266,7 @@ def _difference(between: npt.NDArray[np.float64]) -> Difference:
 
 
 def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:
-    """Return possible reasons for different forces, which recordings do not hold."""
+    """Return possible reasons why rendered forces differ: causes that recordings do not hold."""
     noise = any(
         isinstance(revision.materials[name].texture, Stochastic | Autoregressive)
         for revision in revisions
@@ -329,7 +329,7 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> It
 
 
 def _change_scene(rerun: Rerun, revisions: list[_Revision], index: int, to: int) -> int:
-    """Change the scene to `revisions[to]`, from `revisions[index]` or, if it is negative, from none; return `to`."""
+    """Change the scene from `revisions[index]`, or from no scene if `index` < 0, to `revisions[to]`; return `to`."""
     if to > index:
         changed = [id for revision in revisions[index + 1 : to + 1] for id in revision.changed]
     else:
@@ -346,7 +346,7 @@ def _change_scene(rerun: Rerun, revisions: list[_Revision], index: int, to: int)
 def _segments(
     samples: Samples, rates_hz: npt.NDArray[np.float64], known: npt.NDArray[np.bool_], texts: Mapping[str, Any]
 ) -> tuple[list[tuple[slice, bool]], bool]:
-    """Return segments of consecutive ticks, and `settled`. Each has a flag: whether the commanded force begins at zero.
+    """Return segments of consecutive ticks, each with whether the commanded force begins at zero, and `settled`.
 
     `settled` is whether the state is known at the beginning of the segments.
     """
@@ -378,7 +378,7 @@ def _segments(
 
 
 def _split(samples: Samples, segment: slice, commands: Mapping[int, object]) -> Iterator[slice]:
-    """Divide a segment where the revision changes and where commands take effect."""
+    """Divide a segment of ticks where the scene's revision changes and where commands take effect."""
     inside = samples[segment]
     edges = {0, len(inside), *(np.flatnonzero(np.diff(inside["revision"])) + 1).tolist()}
     first = int(inside["tick"][0])

@@ -33,8 +33,8 @@ def simulate_files(
     """Simulate a scene or a configuration with the simulated joystick, and write a recording if `output` is given.
 
     `rate_hz` replaces the configured rate. Returns the result of `simulate --json`, in which `largest_force_n` is the
-    maximum magnitude of the command. Raises HapticdError or InvalidError for invalid values and for files that cannot
-    be read or written. An existing output without `overwrite` is refused before the simulation.
+    maximum magnitude of the commanded force. Raises HapticdError or InvalidError for invalid values and for files that
+    cannot be read or written. An existing output without `overwrite` is refused before the simulation.
     """
     with nullcontext() if output is None else recording_into(output, overwrite) as writer:
         config = configuration(scene)

@@ -141,12 +141,12 @@ class RecordingWriter:
             self.last_tick, self.last_time_ns = int(samples["tick"][-1]), int(samples["time_ns"][-1])
 
     def write_event(self, event: Texts) -> None:
-        """Append an event."""
+        """Append an event to the recording."""
         self._note("event", event)
         self.event_count += 1
 
     def write_change(self, change: Texts) -> None:
-        """Append a change that a command made."""
+        """Append an entry to the recording's list `changes`: what a command changed or did."""
         self._note("change", change)
 
     def write_all(self, texts: Texts, changes: Iterable[Texts], samples: Samples, events: Iterable[Texts]) -> None:
@@ -260,7 +260,7 @@ class RecordingWriter:
         return self.count > 0
 
     def _keep(self, count: int) -> None:
-        """Keep the first `count` samples of the partial file."""
+        """Truncate the partial file to its first `count` samples."""
         self.count = count
         self._part.cut(self._end)
         if count:
@@ -317,7 +317,7 @@ class RecordingWriter:
         raise HapticdError(message) from None
 
     def discard(self) -> None:
-        """Delete the partial files, also those that are being recovered."""
+        """Delete the recording's partial files, also those that are being recovered."""
         self._keep_partial_files = False
         self._close()
 
@@ -341,7 +341,7 @@ class _PartialFile:
         self.size = os.fstat(self._file.fileno()).st_size
 
     def append(self, data: bytes) -> None:
-        """Append data. After an OSError, the file is unchanged."""
+        """Append data to the partial file. After an OSError, the file is unchanged."""
         remaining, at = memoryview(data), self.size
         try:
             while remaining:
@@ -354,7 +354,7 @@ class _PartialFile:
         self.check_there()
 
     def check_there(self) -> None:
-        """Raise OSError if the file was removed."""
+        """Raise OSError if the partial file was removed from its folder."""
         if not self.is_there():
             raise FileNotFoundError(errno.ENOENT, "it was removed while it was being written")
 
@@ -370,7 +370,7 @@ class _PartialFile:
         self.size = size
 
     def lines(self) -> Iterator[bytes]:
-        """Yield the complete lines."""
+        """Yield the complete lines of the partial file."""
         with open(self.path, "rb") as file:
             yield from (line for line in file if line.endswith(b"\n"))
 
@@ -384,7 +384,7 @@ class _PartialFile:
 
 @contextmanager
 def _closing(file: BinaryIO) -> Iterator[BinaryIO]:
-    """Close a file at the end of the block; after an error, ignore an error of closing."""
+    """Close a file at the end of the `with` block; after an error in the block, ignore an error of closing."""
     try:
         yield file
     except BaseException:
@@ -409,7 +409,7 @@ def _npy_header(dtype: np.dtype[Any], count: int, size: int = 0) -> bytes:
 
 
 def _zip_info(size: int, checksum: int) -> zipfile.ZipInfo:
-    """Return the archive's entry for its first member, the samples. The length of its header is constant."""
+    """Return the archive's entry for its first member, the samples; its header always has the same length."""
     info = zipfile.ZipInfo("samples.npy")
     info.header_offset, info.CRC = 0, checksum
     info.file_size = info.compress_size = size

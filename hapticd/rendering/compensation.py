@@ -43,14 +43,14 @@ MAX_STRIKE_FORCE_RATIO: Final = 2.0
 MAX_TAIL_EXTENSION_S: Final = 0.05
 """Longest time by which a tail may outlast its mode."""
 MIN_TAIL_ERROR_REDUCTION: Final = 0.005
-"""A tail costs as much time as a mode. It is used only if it lowers the displayed error by more than this."""
+"""A tail costs a tick as much time as a mode. It is used only if it lowers the displayed error by more than this."""
 MIN_KICK_RATE_FRACTION: Final = 0.05
-"""Lowest frequency of a mode that gets kicks, as a fraction of the rate. The first samples of slower ones are small."""
+"""Lowest frequency of a mode that gets kicks, as a fraction of the rate. First samples of slower modes are small."""
 MIN_KICK_ERROR_REDUCTION: Final = 0.01
 """Kicks are used only if they lower the displayed error, RMS over all onsets, by more than this."""
 
 _ONSET_FRACTIONS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Onsets for which kicks are designed, in periods before the first tick."""
+"""Onsets of the strike for which kicks are designed, in periods before its first tick."""
 _MODE_TIME_CONSTANTS: Final = 5.0
 """A mode ends five time constants after its last strike."""
 _PEAK_GRID_SAMPLES: Final = 512
@@ -72,7 +72,7 @@ class Load:
 
     @property
     def free(self) -> Load:
-        """This load without the surface."""
+        """This load without the surface: only the actuator's lag."""
         return Load(actuator=self.actuator)
 
     def lag(self, s: _Complex) -> _Complex:
@@ -80,7 +80,7 @@ class Load:
         return np.ones_like(s) if self.actuator is None else self.actuator.response(s)
 
     def surface(self, s: _Complex, period_s: float) -> _Complex:
-        """Return the dynamic stiffness of the surface at `s`: -force/position, N/m.
+        """Return the dynamic stiffness of the surface at the complex frequencies `s`: -force/position, N/m.
 
         The position is sampled, damping uses its difference over a period, and the force is held for a period.
         """
@@ -104,7 +104,7 @@ class Ringing:
 
     @property
     def end_s(self) -> float:
-        """Duration: five time constants, as for every mode."""
+        """Duration of the signal in s: five time constants, as for every mode."""
         return _MODE_TIME_CONSTANTS / -self.pole.real
 
 
@@ -131,13 +131,13 @@ def pole_of(mode: Mode) -> complex:
 
 
 def hold_gain(pole: complex, period_s: float) -> complex:
-    """Return p T / (1 - exp(-p T)), the gain that compensates the hold of a force for a period."""
+    """Return p T / (1 - exp(-p T)) for the pole p, the gain that compensates the hold of a force for a period T."""
     turned = cmath.exp(pole * period_s)  # at most 1, whereas exp(-p T) may overflow
     return pole * period_s * turned / (turned - 1)
 
 
 def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float, load: Load = NO_LOAD) -> complex:
-    """Return C/(m + m_h) with C of the module's equation, with the surface and the lag of `load`."""
+    """Return a mode's gain C/(m + m_h), with C of the module's equation, and the surface and actuator of `load`."""
     p = pole_of(mode)
     at = np.array([p], np.complex128)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -178,12 +178,12 @@ class _Grid:
 
     @cached_property
     def kick_spectra(self) -> list[_Complex]:
-        """Spectra exp(-s k T) of unit kicks at each of the first samples."""
+        """Spectra exp(-s k T) of kicks of size 1, one for each sample k that may get a kick."""
         return [np.exp(-self.s * k * self.period_s) for k in range(MAX_CORRECTED_SAMPLES)]
 
     @cached_property
     def onset_spectra(self) -> list[_Complex]:
-        """Weighted spectra of the mode for each of _ONSET_FRACTIONS, with the first tick as time 0."""
+        """Weighted spectra of the mode for each onset of _ONSET_FRACTIONS, with the first tick as time 0."""
         return [self.target * np.exp(self.s * onset * self.period_s) for onset in _ONSET_FRACTIONS]
 
     def response(self, dynamics: Dynamics, load: Load) -> _Complex:
@@ -197,12 +197,12 @@ class _Grid:
         return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
 
     def count(self, pole: complex, onset: float) -> int:
-        """Return the number of ticks in five time constants after an onset `onset` periods before the first tick."""
+        """Return the number of ticks in five time constants of `pole`, which begin `onset` periods before the first."""
         first_s = onset * self.period_s
         return math.floor((_MODE_TIME_CONSTANTS / -pole.real - first_s) / self.period_s + 1e-9) + 1
 
     def pair(self, pole: complex, count: int) -> tuple[_Complex, _Complex]:
-        """Return the spectra of Im(exp(p t)) and Re(exp(p t)), sampled at `count` ticks."""
+        """Return the spectra of Im(exp(p t)) and Re(exp(p t)) for the pole p, sampled at `count` ticks."""
         found = self._pairs.get((pole, count))
         if found is None:
             one, other = self._sum(pole, count), self._sum(pole.conjugate(), count)
@@ -210,7 +210,7 @@ class _Grid:
         return found
 
     def _sum(self, pole: complex, count: int) -> _Complex:
-        """Return the sum of exp((p - s) k T) over k < count."""
+        """Return the sum of exp((p - s) k T) over the ticks k < count, for the pole p at each frequency s."""
         step = (pole - self.s) * self.period_s
         below = self._below.get(pole)
         if below is None:
@@ -240,7 +240,7 @@ class _Band:
         tails: Sequence[complex] = (),
         with_onsets: bool = False,
     ) -> None:
-        """Compute the basis; `with_onsets` includes kicks and all onsets of _ONSET_FRACTIONS."""
+        """Compute the basis of the spectra; `with_onsets` includes kicks and all onsets of _ONSET_FRACTIONS."""
         grid = self._grid = _grid(mode, rate_hz)
         self._made_for = mode, dynamics, load
         self._pole = pole_of(mode)
@@ -266,7 +266,7 @@ class _Band:
         return np.asarray(self._base[:, self._targets + self._onsets.index(onset)], np.float64)
 
     def columns(self, poles: Sequence[complex], onset: float = 0.0) -> list[_Floats]:
-        """Return the accelerations for Im(exp(p t)) and Re(exp(p t)) of each pole.
+        """Return the accelerations for the forces Im(exp(p t)) and Re(exp(p t)), for each pole p.
 
         The ticks end five time constants after the onset, which is `onset` periods before the first tick.
         """
@@ -279,11 +279,11 @@ class _Band:
         return found
 
     def error(self, columns: list[_Floats], gains: _Floats, onset: float = 0.0) -> float:
-        """Return the displayed error with `gains`, the real and imaginary part of each pole's gain in turn."""
+        """Return the displayed error of a force with `gains`, real and imaginary part of each pole's gain in turn."""
         return float(np.linalg.norm(gains @ np.array(columns) - self.target(onset))) / self._grid.target_norm
 
     def shape(self, poles: Sequence[complex], gains: _Floats) -> Shape:
-        """Return the shape with these poles and gains, scaled down to MAX_STRIKE_FORCE_RATIO where necessary."""
+        """Return the force's shape with these poles and gains, scaled down to MAX_STRIKE_FORCE_RATIO if necessary."""
         ringing = [Ringing(pole, complex(*gains[2 * i : 2 * i + 2])) for i, pole in enumerate(poles)]
         mode, tail = ringing[0], ringing[1] if len(ringing) > 1 else None
         peak, peak_time_s = _peak(mode, tail)
@@ -296,34 +296,34 @@ class _Band:
         return Shape(mode, tail, peak, peak_time_s, self.error(self.columns(poles), gains), limited)
 
     def alone(self, gain: complex) -> Shape:
-        """Return the shape of the mode's pole alone, with this gain."""
+        """Return the force's shape with the mode's pole alone, with this gain."""
         return self.shape([self._pole], np.array([gain.real, gain.imag]))
 
     def by_hold_gain(self) -> Shape:
-        """Return the shape of the mode's pole alone, with the gain that compensates hold and actuator."""
+        """Return the force's shape with the mode's pole alone, and the gain that compensates hold and actuator."""
         _, _, load = self._made_for
         lag = complex(load.lag(np.array([self._pole], np.complex128))[0])
         return self.alone(hold_gain(self._pole, self._grid.period_s) / lag)
 
     def by_pole_gain(self) -> Shape:
-        """Return the shape of the mode's pole alone, with the gain C/(m + m_h)."""
+        """Return the force's shape with the mode's pole alone, and the gain C/(m + m_h) of the module's equation."""
         mode, dynamics, load = self._made_for
         return self.alone(pole_gain(mode, dynamics, self._grid.period_s, load))
 
     def plain(self) -> Shape:
-        """Return the shape by hold gain or by pole gain, whichever has the smaller error."""
+        """Return the shape without a tail: by_hold_gain or by_pole_gain, whichever has the smaller displayed error."""
         return min(self.by_hold_gain(), self.by_pole_gain(), key=lambda shape: shape.error)
 
     def with_tail(self, tail: complex) -> Shape:
-        """Return the shape of the mode's pole and this tail's pole, with both gains from one least-squares fit."""
+        """Return the force's shape with the mode's pole and the pole `tail`, both gains from one least-squares fit."""
         poles = [self._pole, tail]
         gains = np.linalg.lstsq(np.array(self.columns(poles)).T, self.target(), rcond=None)[0]
         return self.shape(poles, np.asarray(gains, np.float64))
 
     def with_kicks(self, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
-        """Return the shape of mode, tail and kicks, and its displayed error, RMS over _ONSET_FRACTIONS.
+        """Return the force's shape with mode, tail and kicks, and its displayed error, RMS over _ONSET_FRACTIONS.
 
-        One least-squares fit over these onsets gives the gains of all three; if `kicks` are given, of mode and tail.
+        One least-squares fit over these onsets gives the gains of mode and tail, and the kicks unless they are given.
         """
         poles = [self._pole, tail]
         decays = [np.array(self.columns(poles, onset)).T for onset in _ONSET_FRACTIONS]
@@ -359,7 +359,7 @@ def _root_mean_square(errors: list[float]) -> float:
 
 
 def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
-    """Return an upper bound of the force's magnitude over all times, and the time at which it is nearly reached.
+    """Return an upper bound of the magnitude of mode plus tail over all times, and a time that nearly reaches it.
 
     Between two samples at a distance h, a function exceeds the larger sample by at most h^2/8 times its curvature.
     """
@@ -380,7 +380,7 @@ def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
 
 
 def _tails(mode: Mode, rate_hz: float) -> list[complex]:
-    """Return the poles of the tails to try.
+    """Return the poles of the tails (second decaying part of a strike's force) to try.
 
     A slow tail compensates the transient of the hand's spring and damper, a fast one that of the first held samples.
     """
@@ -390,7 +390,7 @@ def _tails(mode: Mode, rate_hz: float) -> list[complex]:
 
 
 def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, load: Load = NO_LOAD) -> Shape:
-    """Return the shape of the mode's pole alone, with this gain in units of (m + m_h)."""
+    """Return the force's shape with the mode's pole alone, with this gain in units of (m + m_h)."""
     return _Band(mode, dynamics, rate_hz, load).alone(gain)
 
 
@@ -414,9 +414,9 @@ def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, loa
 def shape_of(
     mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load = NO_LOAD
 ) -> Shape:
-    """Return the shape of a strike of a mode that the rate can carry.
+    """Return the force's shape for a strike of a mode whose frequency is at most 0.4 of the rate.
 
-    `rate_hz` is how often the force changes at the device. `full` takes some milliseconds.
+    `rate_hz` is how often the force changes at the device. `compensation: full` takes some milliseconds.
     """
     if compensation == "mass":
         return _Band(mode, dynamics, rate_hz, load).by_hold_gain()
@@ -443,7 +443,7 @@ def shapes_of(
     load: Load,
     best_in_contact: bool,
 ) -> tuple[Shape, Shape]:
-    """Return the shapes of a strike without a surface and against the surface of `load`, with the same poles.
+    """Return the force's shapes for a strike without a surface and against that of `load`, with the same poles.
 
     With `best_in_contact`, the poles are those with the smallest error against the surface, otherwise without it. C is
     linear in the surface's stiffness, so the core interpolates linearly between the two shapes.
@@ -472,7 +472,7 @@ def tuned_shapes(
     load: Load,
     best_in_contact: bool,
 ) -> list[tuple[Shape, Shape]]:
-    """Return shapes_of for each of `modes`, which change gradually from one to the next.
+    """Return both shapes of a strike (shapes_of) for each of `modes`, which change gradually from one to the next.
 
     All shapes have the same pole of the tail, or none has a tail; none has kicks.
     """
@@ -497,7 +497,7 @@ def tuned_shapes(
 
 
 def peak_between(one: Shape, other: Shape) -> float:
-    """Return the ratio of the peak half way between two shapes to the mean of their peaks.
+    """Return the peak of the force half way between two shapes of strikes, divided by the mean of their peaks.
 
     The shape half way has the means of the gains and of the modes' poles.
     """

@@ -82,7 +82,7 @@ def _regions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) 
 
 
 def _meet(regions: _Regions, a: Ints, b: Ints) -> npt.NDArray[np.bool_]:
-    """Return whether the regions a and b meet, by the separating axis theorem.
+    """Return for each pair of surfaces in `a` and `b` whether their regions meet, by the separating axis theorem.
 
     The axes are normal and tangent of each rectangle, and the line between the centres.
     """
@@ -154,7 +154,7 @@ that does not; mu K / 2 and 2 mu D, by which delayed friction follows the normal
 
 
 def _contributions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) -> Floats:
-    """Return what each surface contributes to a set, (n, _SUM_COLUMNS)."""
+    """Return the stiffness, damping and noise that each surface adds to a contact set, (n, _SUM_COLUMNS)."""
     objects = surfaces.objects
     normal = objects["normal"]
     tangent = np.stack((normal[:, 1], -normal[:, 0]), axis=1)
@@ -296,20 +296,20 @@ class ContactSets:
         return len(self._sums)
 
     def members(self, number: int) -> tuple[int, ...]:
-        """Return the slots of a set, in ascending order."""
+        """Return the slots of the surfaces of a contact set, in ascending order."""
         return self._members(number)
 
     def matrices(self, number: int) -> tuple[Floats, Floats]:
-        """Return the stiffness and damping matrices of a set, (2, 2) each, for spectral_radius."""
+        """Return the stiffness and damping matrices of a contact set, (2, 2) each, for spectral_radius."""
         row = self._sums[number : number + 1]
         return _matrices(row[:, :3])[0], _matrices(row[:, 3:6])[0]
 
     def factors(self, number: int) -> dict[Limit, float]:
-        """Return the factor by which the stiffness of a set may grow, for each condition of stability."""
+        """Return the factor by which the stiffness of a contact set may grow, for each condition of stability."""
         return {"passivity": float(self._passivity_factor[number]), "quantisation": float(self._noise_factor[number])}
 
     def worst(self, most: int, *, unsafe: bool) -> list[tuple[tuple[int, ...], int]]:
-        """Return slots and number of up to `most` distinct sets, those nearest to their limits first.
+        """Return the surfaces' slots and the number of up to `most` distinct sets, those nearest to their limits first.
 
         The sets are sorted by margin without damping, margin, and stiffness. `unsafe` omits sets proved safe.
         """

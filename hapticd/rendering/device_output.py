@@ -16,7 +16,7 @@ UNKNOWN_HANDLE: Final = "device.handle is not given; it needs mass_kg, damping_n
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Properties of device and rate by which a scene is compiled."""
+    """Properties of device and rate for which a scene is compiled."""
 
     rate_hz: float
     effective_mass_kg: float

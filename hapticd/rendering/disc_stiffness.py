@@ -5,7 +5,8 @@ The proxy on the rim moves R/r as far as a probe at radius r, and friction and g
 
     K/2 (R - r - g H(s))^2 + g k/2 (s - anchor)^2
 
-give the stiffness. Without friction and shaped grooves it never exceeds K.
+give the stiffness. K is that of the material, H the height of the grooves at the arc length s, k the stiffness of
+friction's spring, and g the fading. Without friction and shaped grooves the stiffness never exceeds K.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ FULL_RADIUS_FRACTION: Final = 0.5
 ZERO_RADIUS_FRACTION: Final = 0.2
 """At r/R below this, friction and grooves do not act (csrc/shapes/hd_disc.c)."""
 _RADIAL_SAMPLES: Final = 65
-"""Radii at which the bounds are evaluated."""
+"""Number of radii, from the deepest press to the rim, at which the bounds are evaluated."""
 
 
 class RoundProperties(NamedTuple):
@@ -42,7 +43,7 @@ class RoundProperties(NamedTuple):
 
 
 def fading(part: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the fading g at r/R, and its first and second derivatives with respect to r/R."""
+    """Return the fading g of friction and grooves at `part` = r/R, and its first and second derivatives by r/R."""
     width = FULL_RADIUS_FRACTION - ZERO_RADIUS_FRACTION
     x = np.clip((part - ZERO_RADIUS_FRACTION) / width, 0.0, 1.0)
     within = (x > 0.0) & (x < 1.0)
@@ -54,7 +55,7 @@ def fading(part: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def round_properties(radius_m: Floats, materials: npt.NDArray[np.void], press_n: float) -> RoundProperties:
-    """Return the bounds for discs (n,) of these materials, MATERIAL_DTYPE (n,), pressed with up to `press_n`."""
+    """Return the stiffness bounds of discs (n,) of these materials, MATERIAL_DTYPE (n,), pressed up to `press_n`."""
     radius = radius_m[:, None]
     stiffness = materials["stiffness_n_per_m"][:, None]
     mu = materials["friction_coefficient"][:, None]

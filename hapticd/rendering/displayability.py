@@ -1,6 +1,6 @@
 """Which vibrations of a scene a device and rate can display, and how the others are displayed.
 
-A vibration that the rate cannot carry is muted or lowered in frequency, as `displayed_mode`, `displayed_wave_rate` and
+A vibration above 0.4 of the rate is muted or lowered in frequency, as `displayed_mode`, `displayed_wave_rate` and
 `displayed_pair` decide. Three functions report: `undisplayable` the vibrations that are muted or lowered; `rate_faults`
 those that are refused; `warnings` those that are displayed with a deviation. A report gives the place of a vibration in
 the configuration file: `materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
@@ -43,7 +43,7 @@ MAX_SPECTRUM_ERROR_DB: Final = 3.0
 
 
 def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
-    """Return the mode as the rate can carry it, and the factor on its coefficient that keeps the first peak.
+    """Return the mode as it is displayed, and the factor on its amplitude coefficient that keeps the first peak.
 
     Above 0.4 of the rate of servo or link, whichever is lower, a mode is muted (None) or lowered to that frequency.
     """
@@ -57,7 +57,7 @@ def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
 
 
 def strike_error(mode: Mode, output: Output) -> float | None:
-    """Return the displayed error of a strike that begins at a tick (hapticd.rendering.displayed_error).
+    """Return the displayed error of a strike at a tick: of the handle's acceleration, relative to the mode.
 
     Returns None if the mode is muted or lowered, or if mass and damping of the handle are unknown.
     """
@@ -109,7 +109,7 @@ def touched_by(material: Material, use: Use) -> Touched:
 
 
 def struck_shapes(mode: Mode, output: Output, touched: Touched = NO_SURFACE) -> tuple[Shape, Shape] | None:
-    """Return the shapes of a strike of a mode that the rate can carry: without a surface, and against `touched`.
+    """Return the force's shapes for a strike of a displayable mode: without a surface, and against `touched`.
 
     The second shape is for a strike along the normal, with DEFAULT_SURFACE_N_PER_M if there is no surface. Returns
     None without compensation.
@@ -139,7 +139,7 @@ def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
 
 
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
-    """Return the peak and mean (Hz) for which the texture's filter is designed, or None if it is muted.
+    """Return the peak and mean frequency (Hz) for which the texture's filter is designed, or None if it is muted.
 
     A texture with its peak above 0.4 of the rate is muted, or peak and mean are lowered by the factor that brings the
     peak there.
@@ -170,7 +170,7 @@ def mode_path(use: Use) -> Path:
 
 
 def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Undisplayable]:
-    """Return the modes, waveforms and textures of these materials that the rate cannot carry."""
+    """Return the modes, waveforms and textures of these materials whose frequency is too high for the rate."""
     found: list[Undisplayable] = []
     for name, material in materials.items():
         for use, mode in modes_of(material):
@@ -200,7 +200,7 @@ def rate_faults(objects: Mapping[str, SceneObject], materials: Mapping[str, Mate
 
 
 def material_rate_faults(name: str, material: Material, output: Output) -> list[Problem]:
-    """Return rate_faults of one material."""
+    """Return a fault for each frequency of one material that is not below half the rate."""
     texture = material.texture
     if not isinstance(texture, Stochastic):
         return []
@@ -224,7 +224,7 @@ def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Materia
 
 
 def material_warnings(name: str, material: Material, output: Output) -> list[Problem]:
-    """Return the warnings of one material."""
+    """Return a warning for each part of one material that is displayed with a deviation."""
     found = [*_compensation_warnings(name, material, output), *_waveform_warnings(name, material, output)]
     match material.texture:
         case Grooves() as texture:

@@ -63,7 +63,7 @@ def handle_acceleration(
 
 
 def waveform(mode: Mode, count: int, sample_rate_hz: float, since_s: float = 0.0) -> Floats:
-    """Return means of exp(-B t) sin(w t) over `count` intervals of 1/sample_rate_hz, (count,).
+    """Return means of a mode's signal exp(-B t) sin(w t) over `count` intervals of 1/sample_rate_hz, (count,).
 
     The first interval begins at t = since_s. The signal is 0 before t = 0.
     """
@@ -115,7 +115,8 @@ def band_error(
 def waveform_error(waveform: Waveform, dynamics: Dynamics, rate_hz: float, effective_mass_kg: float) -> float:
     """Return the displayed error of a tap that plays a waveform and begins at a tick.
 
-    The error is that of displayed_error, without compensation and without a lag of the actuator.
+    It is the RMS difference of the handle's acceleration from the waveform, divided by the RMS of the waveform, both in
+    the error band. The force is neither compensated nor delayed by the actuator.
     """
     ticks = math.ceil((waveform.length_s + _SETTLING_TIME_S) * rate_hz)
     force = effective_mass_kg * waveform.curve.at(np.arange(ticks) / rate_hz)
@@ -138,9 +139,9 @@ def displayed_error(
     effective_mass_kg: float | None = None,
     actuator: Actuator | None = None,
 ) -> float:
-    """Return the displayed error of a strike that begins at a tick; 0.1 is 10 %.
+    """Return the error of the handle's acceleration, relative to the mode, for a strike at a tick; 0.1 is 10 %.
 
-    `mode` is one that the rate carries, as it is displayed (displayability.displayed_mode). `rate_hz` is how often the
+    The frequency of `mode` is at most 0.4 of the rate (displayability.displayed_mode). `rate_hz` is how often the
     force changes at the device: the servo's rate, or the link's if that is lower. `effective_mass_kg` is used if
     compensation is off; its default is the mass of handle and hand. `actuator` lags all forces. The spectra are closed
     forms (compensation.py).

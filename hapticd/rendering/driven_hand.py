@@ -37,13 +37,13 @@ _MAX_SETTLING_S: Final = 20.0
 _OBSERVED_END_S: Final = 1.0
 """Time at the end of a run in which strikes and noise are counted."""
 _MAX_RESIDUAL_NOISE_PART: Final = 0.05
-"""The hand's motion sustains noise whose force at the end exceeds this fraction of its largest value."""
+"""Noise counts as sustained by the hand if its force at the end exceeds this fraction of its largest value."""
 
 
 def driven_hand_warnings(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:
     """Return a warning for each of the materials whose texture drives the hand of `loop` in typical strokes.
 
-    Nothing is checked without a hand, as nothing presses then, nor with vibrations off.
+    Returns no warnings if the loop has no hand, as nothing presses then, or if vibrations are off.
     """
     hand = loop.dynamics
     if hand.grip_stiffness_n_per_m <= 0.0 or not config.scene.display.vibration:
@@ -74,13 +74,13 @@ def materials_with_vibration(shown: Mapping[str, Material]) -> Iterable[str]:
 
 
 def _late_strikes(run: Run) -> int:
-    """Return the number of strikes in the last second of a run."""
+    """Return the number of strikes in the last second of a simulated stroke."""
     last_s = len(run.samples) / run.rate_hz - _OBSERVED_END_S
     return int((run.events[run.events["kind"] == EventKind.GROOVE]["time_ns"] * 1e-9 > last_s).sum())
 
 
 def _is_noise_sustained(run: Run) -> bool:
-    """Return whether noise lasts into the last second of a run."""
+    """Return whether noise lasts into the last second of a simulated stroke."""
     force = np.abs(run.samples["vibration_force_n"][:, 0])
     late = force[-round(_OBSERVED_END_S * run.rate_hz) :]
     return bool(late.max() > _MAX_RESIDUAL_NOISE_PART * force.max())

@@ -30,20 +30,20 @@ FIRST_COMPARISON_WINDOWS: Final = 64
 MAX_CYCLE_ENERGY_DEVIATION: Final = 0.01
 """In a regular cycle the energy of no window deviates from the mean by more than this fraction."""
 MIN_ENERGY_TREND: Final = 0.1
-"""An irregular motion grows or falls if its energy changes by this fraction in the last quarter of the time."""
+"""The energy of an irregular motion grows or falls if it changes by this fraction in the time's last quarter."""
 WAIT_AFTER_MOTION_S: Final = 0.2
 """Time from the hand's last waypoint to the beginning of the analysis."""
 
 
 @dataclass(frozen=True, slots=True)
 class EndState:
-    """How a motion ends."""
+    """How a simulated motion ends, and when that was certain."""
 
     fate: Fate
     peak_m_per_s: float
     """Largest deviation of an axis's speed from its mean in the last window."""
     after_s: float
-    """Time until the result was certain."""
+    """Simulated time until the way in which the motion ends was certain."""
 
 
 def end_state(advance: Callable[[float], npt.NDArray[np.float64]], longest_s: float = 640.0) -> EndState:
@@ -92,14 +92,14 @@ def end_state(advance: Callable[[float], npt.NDArray[np.float64]], longest_s: fl
 
 
 def _log_energy_change(energies: list[float]) -> float:
-    """Return the logarithm of the ratio of the energies in the fourth and the third quarter of the time."""
+    """Return ln(E4 / E3), with the energies of the motion in the fourth and third quarter of the simulated time."""
     quarter = max(1, len(energies) // 4)
     third, fourth = (math.fsum(energies[-end : len(energies) - end + quarter]) for end in (2 * quarter, quarter))
     return math.log(max(fourth, 1e-300) / max(third, 1e-300))
 
 
 def _decays_slowly(energies: list[float]) -> bool:
-    """Return whether the energy falls in each eighth of the last half, at last at 75 % of the initial rate or more."""
+    """Return whether the energy falls in each eighth of the later half, at last at 75 % of its first rate or more."""
     eighth = max(1, len(energies) // 8)
     means = [math.fsum(energies[len(energies) - k * eighth :][:eighth]) for k in (4, 3, 2, 1)]
     falls = np.diff(np.log(np.maximum(means, 1e-300)))

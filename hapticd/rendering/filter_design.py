@@ -97,7 +97,7 @@ def power_above(source: Spectral, frequency_hz: float, rate_hz: float) -> float:
 
 
 def power_at(reflection: Sequence[float], taps: Sequence[float] | None, angle: Array) -> Array:
-    """Return |H|^2 at these angles; its mean over 0 .. pi is 1."""
+    """Return the power gain |H|^2 of a lattice filter at these angles; its mean over 0 .. pi is 1."""
     delay = np.exp(-1j * angle)
     forward = np.ones_like(delay)
     backward = np.ones_like(delay)
@@ -116,7 +116,7 @@ def power_at(reflection: Sequence[float], taps: Sequence[float] | None, angle: A
 def _mesh(
     poles: Iterable[tuple[float, float]], limit: float = math.pi, panels: int = 1, rule: _Rule = _FINE_RULE
 ) -> tuple[Array, Array]:
-    """Return nodes and weights on 0 .. limit that integrate a rational spectrum.
+    """Return nodes and weights that integrate a rational spectrum over the angles 0 .. limit.
 
     The poles are given as (angle, distance from the circle). The rule is composite Gauss-Legendre. Towards each pole
     the panels halve in length down to the pole's distance, so that none is longer than about its own distance to any
@@ -159,14 +159,14 @@ def poles_of(reflection: Sequence[float]) -> ComplexArray:
 def pole_mesh(
     poles: ComplexArray, limit: float = math.pi, panels: int = 1, rule: _Rule = _FINE_RULE
 ) -> tuple[Array, Array]:
-    """Return nodes and weights on 0 .. limit that integrate the spectrum of a filter with these poles."""
+    """Return nodes and weights that integrate the spectrum of a filter with these poles over angles 0 .. limit."""
     upper = poles[poles.imag >= 0]
     places = zip(np.angle(upper).tolist(), np.maximum(np.abs(1 - np.abs(upper)), 1e-9).tolist(), strict=True)
     return _mesh(places, limit, panels, rule)
 
 
 def _peak_and_mean(reflection: Reflection, taps: tuple[float, ...] | None) -> tuple[float, float]:
-    """Return the angles of the peak and of the power centroid."""
+    """Return the angles of the peak and of the power centroid of a lattice filter's spectrum."""
     nodes, weights = pole_mesh(poles_of(reflection))
     power = power_at(reflection, taps, nodes)
     mean = float(weights @ (nodes * power) / (weights @ power))
@@ -202,7 +202,7 @@ def stochastic_filter(peak_hz: float, mean_hz: float, rate_hz: float) -> Filter:
     half-power bandwidth is nearest to half of the peak frequency. Two bounds keep the peak distinct. The bandwidth is
     at least MIN_BANDWIDTH_HZ (or a quarter of the peak frequency, whichever is less). At an end of the spectrum that
     could rival the peak, the density is 1 dB lower. If no shape has both, the peak stays, and the shape with the
-    nearest mean is returned. Only peaks within 0.0005 of the rate of 0 or of rate/2 move.
+    nearest mean is returned. Only peaks nearer to 0 or rate/2 than 0.0005 rate move.
 
     Raises ValueError unless 0 < peak_hz, mean_hz < rate_hz/2.
     """
@@ -240,18 +240,18 @@ class _Family:
 
     @property
     def y_peak(self) -> float:
-        """The value of y = 1 - cos w at the peak."""
+        """The peak's position on the axis y = 1 - cos w."""
         return 2 * math.sin(self.peak / 2) ** 2
 
     def tilt(self, size: Array) -> Array:
-        """Return `tilt` of M = 1 + tilt t that leaves the end at angle 0 just 1 dB below the peak; 0 without a pole."""
+        """Return `tilt` of the pole M = 1 + tilt t that puts the density at angle 0 1 dB below the peak; 0 without."""
         if not self.pole:
             return np.zeros_like(size)
         end = _END_DIP_RATIO * 2 / (2 - self.y_peak) * (size / self.y_peak) ** 2
         return (1 - np.minimum(end, 1.0)) / self.y_peak
 
     def mean(self, size: Array) -> Array:
-        """Return the power centroids (angles) for sizes (n,)."""
+        """Return the power centroids (angles) of the spectra whose peaks have these sizes (n,)."""
         t = 2 * np.sin((self.nodes - self.peak) / 2) * np.sin((self.nodes + self.peak) / 2)
         if self.floor:
             square = (t / self.floor) ** 2
@@ -263,7 +263,7 @@ class _Family:
         return mean
 
     def realised(self, size: float) -> tuple[Reflection, tuple[float, ...] | None]:
-        """Return reflection coefficients and taps of the spectrum of this size."""
+        """Return reflection coefficients and taps of the spectrum whose peak has this size."""
         if self.floor:
             zeros = [_inside(complex(self.y_peak, self.floor / math.sqrt(size)))] if size > 0 else []
             return realised([_inside(complex(self.y_peak, self.floor))], zeros)
@@ -286,7 +286,7 @@ def _inside(y: complex) -> complex:
 
 
 def _design(peak: float, mean: float, narrowest: float) -> tuple[Reflection, tuple[float, ...] | None]:
-    """Return reflection and taps for a peak and a mean, given as angles.
+    """Return reflection coefficients and taps for a peak and a mean frequency, given as angles.
 
     `narrowest` is half of the smallest bandwidth.
     """
@@ -334,7 +334,7 @@ def _design(peak: float, mean: float, narrowest: float) -> tuple[Reflection, tup
 
 
 def _refined(family: _Family, aim: float, low: float, high: float) -> float:
-    """Return the size between `low` and `high` for which the mean is `aim`."""
+    """Return the size of the peak, between `low` and `high`, for which the power centroid is `aim`."""
     for _ in range(4):
         sizes = np.linspace(low, high, 9)
         error = family.mean(sizes) - aim

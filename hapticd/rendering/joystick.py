@@ -31,7 +31,7 @@ def new_sim(sim: Sim, rate_hz: float) -> CData:
 def set_rate(joystick: CData, sim: Sim, rate_hz: float) -> None:
     """Continue a `struct hd_sim *` at another rate.
 
-    Raises HapticdError if it cannot be simulated at that rate.
+    Raises HapticdError if the joystick cannot be simulated at that rate.
     """
     if lib.hd_sim_set_period(joystick, _sim_config(sim), 1.0 / rate_hz) != Status.OK:
         raise HapticdError(f"device.sim: {invalid_reason()}")

@@ -1,4 +1,4 @@
-"""Modes for which the actuator is too slow: the part of each mode that it shows, and settings that would suffice.
+"""Modes for which the actuator is too slow: the part of each mode that the handle shows, and remedies.
 
 The shown part of a mode is the complex projection of the handle's acceleration on the mode's waveform, 30 Hz to 0.4 of
 the rate, divided by the projection with an ideal actuator. Its amplitude and phase are reported.
@@ -23,7 +23,7 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import Touched, displayed_mode, mode_path, modes_of, struck_shapes, touched_by
 
 MAX_AMPLITUDE_ERROR: Final = 0.1
-"""Largest amplitude error, as a fraction, without a report: that of modes at half the bandwidth, with order 1."""
+"""Largest unreported amplitude error, as a fraction: that of a mode at half the bandwidth of an actuator of order 1."""
 _BANDWIDTH_SEARCH_FACTOR: Final = 1.5
 """Factor between the bandwidths that are tried."""
 _BANDWIDTH_BISECTIONS: Final = 3
@@ -40,7 +40,7 @@ def lag_warnings(materials: Mapping[str, Material], output: Output) -> list[Prob
 
 
 def shown_part(mode: Mode, output: Output, touched: Touched) -> complex:
-    """Return the shown part, as the module defines it, of a mode that the rate carries."""
+    """Return the complex part of a mode, not above 0.4 of the rate, that the handle shows; 1 with an ideal actuator."""
     return _contained(mode, output, touched) / _contained(mode, replace(output, actuator=None), touched)
 
 
@@ -104,13 +104,13 @@ def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
 def _needed_hz(mode: Mode, output: Output, touched: Touched) -> float | None:
     """Return a bandwidth above the actuator's that shows the mode, with the same order and damping, or None.
 
-    It exceeds the smallest sufficient bandwidth by less than 6 %.
+    The result exceeds the smallest sufficient bandwidth by less than 6 %.
     """
     own = output.actuator
     assert own is not None
 
     def is_sufficient(bandwidth_hz: float) -> bool:
-        """Return whether this bandwidth shows the mode."""
+        """Return whether an actuator of this bandwidth shows the mode to within MAX_AMPLITUDE_ERROR."""
         faster = own.model_copy(update={"bandwidth_hz": bandwidth_hz})
         return _is_shown(shown_part(mode, replace(output, actuator=faster), touched))
 

@@ -56,7 +56,7 @@ MAX_DURATION_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """The result of a run."""
+    """The result of rendering or simulating a scene."""
 
     samples: Samples
     """(n,) records, one for each tick."""
@@ -66,7 +66,7 @@ class Run:
     truth: Floats | None
     """(n, 4) exact position (m) and velocity (m/s) of the simulated handle at each tick; None for `render`."""
     undisplayable: tuple[Undisplayable, ...]
-    """Modes and texture peaks of the scene that this rate cannot carry."""
+    """Modes and texture peaks of the scene whose frequency is too high for this rate."""
     warnings: tuple[Problem, ...]
     """Deviations in the display of the scene at this rate; in the closed loop also contact sets that may oscillate."""
     rate_hz: float
@@ -74,7 +74,7 @@ class Run:
 
 
 class CompiledScene:
-    """A configuration that is compiled for a rate, by default its own.
+    """A configuration that is compiled for a rate, by default its own servo rate.
 
     Raises InvalidError for a material that no signal of this rate can have.
     """
@@ -104,7 +104,7 @@ class CompiledScene:
         return evaluate(self._compiler, self.config.scene, loop)
 
     def run_of(self, samples: Samples, events: Events, truth: Floats | None, unstable: Iterable[Problem] = ()) -> Run:
-        """Return a run with these results and the scene's warnings, to which `unstable` is added."""
+        """Return a Run with these results and the scene's warnings, to which `unstable` is added."""
         objects, materials = self.config.scene.objects, self.config.materials
         return Run(
             samples,
@@ -192,26 +192,26 @@ class Rerun:
         self.restart(False)
 
     def restart(self, muted: bool) -> None:
-        """Clear all state; with `muted`, the commanded force begins at 0 and rises over the scene's ramp_s."""
+        """Clear contacts, modes and punctures; with `muted`, the commanded force rises from 0 over scene.ramp_s."""
         self._state = new_state_of(self._slots)
         if muted:
             lib.hd_state_mute(self._state)
 
     def change_rate(self, output: Output) -> None:
-        """Set another output. `turn_to` must follow before the next tick."""
+        """Set another output (device and rate). `turn_to` must follow before the next tick."""
         self._output = output
         self._compiler.turn_to(output)
 
     def turn_to(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
         """Take a validated scene, in which only the objects `changed` differ from the scene before.
 
-        Afterwards `name_of` may not know the events of earlier ticks.
+        Afterwards `name_of` may return None for events of earlier ticks.
         """
         self._compiler.events_read((revision - 1) & 0xFFFFFFFF)
         self._world = new_world(self._compiler.update(scene, changed, materials, revision))
 
     def play(self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float) -> None:
-        """Strike a mode at the next tick, as the daemon's `play` does."""
+        """Start a mode (a decaying vibration) at the next tick, as the daemon's `play` does."""
         _play(self._state, self._output, mode, mode.coefficient(1.0, attack), direction, amplitude_m_per_s2)
 
     def reset(self, objects: Iterable[str] | None, time_ns: int) -> None:
@@ -226,7 +226,7 @@ class Rerun:
         return self._compiler.name_of(int(event["slot"]), int(event["generation"]))
 
     def run(self, recorded: Samples, interval_s: Floats, periods: npt.NDArray[np.uint32]) -> tuple[Samples, Events]:
-        """Return samples and events of (n,) recorded ticks.
+        """Render (n,) recorded ticks again, and return the rendered samples and events.
 
         `interval_s` (n,) is the time from the previous position report to that of a tick, 0 without a new report.
         `periods` (n,) is the number of periods since the previous tick.
@@ -267,7 +267,7 @@ class Simulation:
     ) -> None:
         """Prepare the loop with the handle at rest at the first waypoint.
 
-        `waypoints` are rows [t_s, x_m, y_m] of the hand; without them it stays where it is.
+        `waypoints` are rows [t_s, x_m, y_m] of the hand's path; without them the hand stays where it is.
         """
         sim = scene.config.device.sim
         self._scene, self._recorder = scene, _Recorder()
@@ -278,7 +278,7 @@ class Simulation:
             lib.hd_sim_settle(self._sim)
 
     def strike(self, mode: Mode, coefficient_m_per_s2: float, direction: tuple[float, float]) -> None:
-        """Strike a mode at the next tick."""
+        """Start a mode (a decaying vibration) with this coefficient along `direction` at the next tick."""
         _play(self._state, self._scene.output, mode, 1.0, direction, coefficient_m_per_s2)
 
     def advance(self, duration_s: float) -> Floats:
@@ -354,7 +354,7 @@ def render(
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
 ) -> Samples:
-    """Return the forces for a path of positions, open loop.
+    """Return the samples, with forces, for a given path of positions (open loop).
 
     `config` is the content of a YAML file (materials, device, scene), as a mapping or a path. `position_m` has shape
     (n, 2), one position for each tick, used without encoder, delay or actuator resolution. `rate_hz`, ticks per
@@ -374,7 +374,7 @@ def render_run(
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
 ) -> Run:
-    """Return the samples of `render`, and the events."""
+    """Return the samples that `render` returns, with the events and warnings of the run."""
     scene = CompiledScene(config, rate_hz)
     positions = _positions(position_m, "position_m")
     count = len(positions)

@@ -34,7 +34,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def rearm_sigmas(rate_hz: float) -> float:
-    """Return (h - d) / s, in the module's symbols, for at most one false tap a day."""
+    """Return the withdrawal less the encoder step, in noise standard deviations, for at most one false tap a day."""
     return -2.0 * NormalDist().inv_cdf(min(0.5, 2.0 / (rate_hz * SECONDS_PER_DAY)))
 
 
@@ -58,7 +58,7 @@ class Resting:
 
     @property
     def rearm_m(self) -> float:
-        """The smallest rearm_m for these positions."""
+        """The smallest device.rearm_m with at most one false tap a day for these positions."""
         return least_rearm_m(self.noise_m, self.step_m, self.rate_hz)
 
     def to_dict(self) -> dict[str, float]:
@@ -76,7 +76,7 @@ class Resting:
 
 
 def at_rest(position_m: Floats, step_m: float, rate_hz: float) -> Resting:
-    """Return the noise of positions (n,) at a rate, of a handle that nothing drives.
+    """Return the noise and steps in the positions (n,) of a handle that nothing drives, sampled at a rate.
 
     A tick without a new position has NaN. Slow motion is removed as a straight line over each DETREND_WINDOW_S.
     """

@@ -39,7 +39,7 @@ _STALLED_ERROR_RATIO: Final = 0.95
 
 
 class Resampled(NamedTuple):
-    """A model at another rate."""
+    """An all-pole model of a texture that was converted to another rate."""
 
     reflection: Reflection
     kept: float
@@ -103,7 +103,7 @@ def _error_between(
     fitted: Array,
     angle: Array,
 ) -> float:
-    """Return the largest error in dB at twice the number of nodes.
+    """Return the largest error of the fitted spectrum in dB at twice the number of nodes.
 
     `wanted` and `fitted` are the powers of model and fit at the nodes `angle`.
     """
@@ -144,7 +144,7 @@ class _Nodes:
 
     @classmethod
     def at(cls, angle: Array, weight: Array) -> "_Nodes":
-        """Compute the values for these angles and quadrature weights."""
+        """Compute the values that fits share, for nodes at these angles with these quadrature weights."""
         delay = np.exp(-1j * angle)
         cosines = np.empty((MAX_ORDER + 1, len(angle)))
         turned = np.ones_like(delay)
@@ -187,7 +187,7 @@ def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex]) -> _
 
 
 def _fits_beyond(power: Array, angle: Array, weight: Array, poles: ComplexArray, ratio: float) -> Iterator[_Fit]:
-    """Yield fits at a rate higher than the model's, beginning with the one without placed poles."""
+    """Yield fits at a rate higher than the model's, first the one without placed (directly converted) poles."""
     edge = math.pi * ratio
     # Panels that grow with the distance from the edge, where the skirt is steep.
     count = math.ceil(20 * math.log(1 / ratio)) + 1
@@ -233,11 +233,11 @@ def _predicted(r: Array) -> Reflection:
 
 
 def _prefix_inverses(reflection: Sequence[float], half: ComplexArray) -> Iterator[Array]:
-    """Yield 1 over the power of the all-pole filters of k_1 .. k_n for n = 0, 1, .. p, up to a factor.
+    """Yield 1/power of the all-pole filters with reflection k_1 .. k_n for n = 0, 1, .. p, up to a factor.
 
-    On the unit circle B_m is z^-m times the conjugate of A_m. With G_m = z^(m/2) A_m and H = z^(1/2) G_(m-1), the step
-    A_m = A_(m-1) + k_m z^-1 B_(m-1) becomes G_m = H + k_m conj(H): the real part of H times (1 + k_m), and its
-    imaginary part times (1 - k_m).
+    On the unit circle, B_m is z^-m times the conjugate of A_m (filter_design explains both). With G_m = z^(m/2) A_m and
+    H = z^(1/2) G_(m-1), the step A_m = A_(m-1) + k_m z^-1 B_(m-1) becomes G_m = H + k_m conj(H): the real part of H
+    times (1 + k_m), and its imaginary part times (1 - k_m).
     """
     turned = np.ones_like(half)
     yield np.ones(half.shape)

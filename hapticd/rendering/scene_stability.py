@@ -45,7 +45,7 @@ class Stability:
         }
 
     def problems(self) -> list[Problem]:
-        """Return a line for each of the first unsafe sets, and a line with the number of others that are not safe."""
+        """Return a line for each of the worst unsafe contact sets, and a line with the number of others not safe."""
         harmful = self.harmful
         found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MAX_STABILITY_LINES]]
         if len(harmful) > MAX_STABILITY_LINES:
@@ -55,7 +55,7 @@ class Stability:
 
 
 def place_of(objects: Sequence[str]) -> str:
-    """Return the configuration path of a set's first object, with the names of the other objects."""
+    """Return the configuration path of a contact set's first object, with the names of the other objects."""
     first, others = objects[0], objects[1:]
     place = path_text(("scene", "objects", first))
     if not others:

@@ -49,9 +49,9 @@ _SAMPLED_TICKS: Final = 1000
 _MAX_DELAY_PERIODS: Final = 40
 """Largest delay in loop_matrix, in periods; a longer one is modelled with a longer period."""
 _MIN_SEARCHED_N_PER_M: Final = 0.1
-"""Stiffness at which the search of held_factor begins."""
+"""Stiffness at which held_factor begins its search for the largest stable one."""
 _MAX_SEARCHED_N_PER_M: Final = 1e7
-"""Largest stiffness that held_factor tries."""
+"""Largest stiffness that held_factor tries in its search."""
 MAX_STABLE_RADIUS: Final = 1.0 + 1e-6
 """Spectral radius above which a loop counts as growing. A free handle has the eigenvalue 1, which may be rounded up."""
 
@@ -182,7 +182,10 @@ def _symmetrised_norm(held: list[Fraction], acts: dict[Fraction, Fraction], patt
 
 
 def _schur_bound(held: list[Fraction], acts: dict[Fraction, Fraction]) -> float:
-    """Return half the longest time from a measurement to the action of one that was taken after its force ended."""
+    """Return a bound of `reach_s` in ticks, by Schur's test.
+
+    It is half the longest time from a measurement M to the action of the first measurement after M's force has ended.
+    """
     measured = [acts[time] for time in held]
     worst = Fraction(0)
     for place, after in enumerate(held[1:]):
@@ -207,12 +210,12 @@ class Loop:
 
     @property
     def lag(self) -> float:
-        """Fraction of reach_s that is delay rather than hold, 0 to 1."""
+        """Fraction, 0 to 1, of the timing's reach_s that is delay rather than the hold of a force."""
         return max(0.0, 1.0 - 0.5 * self.timing.period_s / self.timing.reach_s)
 
     @property
     def late_periods(self) -> float:
-        """Periods by which reach_s exceeds the half period of a hold."""
+        """Periods by which the timing's reach_s exceeds the half period that the hold of a force costs."""
         return self.timing.reach_s / self.timing.period_s - 0.5
 
     def without_hand(self) -> Loop:
@@ -233,7 +236,7 @@ class Loop:
         return SPEED_ESTIMATE_ERROR_GAIN * self.encoder_step_m / self.timing.reading_s
 
     def to_dict(self) -> dict[str, object]:
-        """Return the assumptions that `hapticd check` reports."""
+        """Return the properties of the loop that `hapticd check` reports as assumptions."""
         return {
             **asdict(self.dynamics),
             "encoder_step_m": self.encoder_step_m,
@@ -246,7 +249,7 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """Stiffness of a contact set, and its limits."""
+    """Stiffness of a contact set, the limits of this stiffness, and the eigenvalues of the loop."""
 
     objects: tuple[str, ...]
     stiffness_n_per_m: float
@@ -305,7 +308,7 @@ class Margin:
 def limits(
     stiffness_n_per_m: Floats, damping_n_s_per_m: Floats, noise_n: Floats, still_noise_n: Floats, loop: Loop
 ) -> tuple[Floats, Floats]:
-    """Return the factors on all stiffnesses up to which a set is passive, and up to which friction absorbs its noise.
+    """Return the stiffness factors up to which a contact set is passive, and up to which friction absorbs its noise.
 
     All arrays are (n,). They hold the stiffness and damping of the passivity condition, the noise that grows with the
     stiffness, and the noise that does not, both for the worse axis. A factor is infinite without a limit, and 0 if no
@@ -331,7 +334,7 @@ def loop_matrix(stiffness: Floats, damping: Floats, loop: Loop) -> Floats:
     """Return the matrix of one period of the bilateral, unquantised loop: shapes (..., 2, 2) to (..., n, n).
 
     The state holds, for both axes, position and velocity when a force begins to act, then the positions that were
-    measured and not yet used. F = -K y - D (y - y before) / period, with y measured delay_s before F acts.
+    measured and not yet used. The force is F = -K y - D (y - y before) / period, with y measured delay_s before F acts.
     """
     timing = loop.timing
     period = timing.period_s

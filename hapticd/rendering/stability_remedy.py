@@ -90,7 +90,7 @@ def _is_safe_near(
 def _largest_safe_factor(
     safe: Callable[[SurfaceTable], bool], with_factor: Callable[[float], SurfaceTable], top: float
 ) -> float:
-    """Return the largest safe factor up to `top` for which slightly smaller ones are safe, too; 0 if none is found."""
+    """Return the largest stiffness factor up to `top` that is safe, as are slightly smaller ones; 0 if none is."""
     low = high = top
     while not _is_safe_near(safe, with_factor, low):
         low, high = _SEARCH_FACTOR_STEP * low, low
@@ -110,7 +110,7 @@ def _named(surfaces: SurfaceTable, materials: Ints) -> str:
 
 
 def _rounded(value: float) -> str:
-    """Return the value rounded down to three digits, as only smaller values are safe."""
+    """Return a safe limit as text, rounded down to three digits, as only smaller values are safe."""
     digit = 10.0 ** (math.floor(math.log10(value)) - 2)
     return f"{math.floor(value / digit) * digit:.6g}"
 

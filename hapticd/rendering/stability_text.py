@@ -10,7 +10,7 @@ _MAX_NAMED_OBJECTS: Final = 4
 
 
 def stability_words(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return a line on the scene, then one for each of the worst sets: a label and a sentence."""
+    """Return a label and a sentence on the scene's stability, then a pair for each of the worst contact sets."""
     if found["unknown"] is not None:
         return [("stability", f"not known: {found['unknown']}")]
     return [

@@ -30,10 +30,10 @@ _WORST_NORMAL_COMPONENT: Final = math.sqrt(0.5 * WORST_NORMAL_FACTOR)
 
 
 class _KindMargins(NamedTuple):
-    """Terms of the margin that all surfaces of one kind share, independent of position and orientation."""
+    """Terms of the stability margin that surfaces of one kind share, independent of position and orientation."""
 
     passive: float
-    """Factor on the stiffness up to which the surface is passive."""
+    """Factor by which the stiffness may grow before the surface is no longer passive."""
     along_n: float
     """Noise along the normal that grows with the stiffness."""
     across_n: float
@@ -45,7 +45,7 @@ class _KindMargins(NamedTuple):
 
 
 class SurfaceMargins:
-    """Computes margins, and caches the terms that all surfaces of one kind share.
+    """Computes the stability margins of surfaces, and caches the terms that all surfaces of one kind share.
 
     The cache is valid as long as the table's materials and pieces are unchanged.
     """
@@ -60,7 +60,7 @@ class SurfaceMargins:
         """By material: whether the margin of a disc depends on its radius."""
 
     def of(self, compiler: Compiler, slots: Collection[int]) -> list[float]:
-        """Return the margins of the surfaces at these slots.
+        """Return the margins (factors by which the stiffness may grow) of the surfaces at these slots.
 
         A margin is infinite if nothing limits the stiffness, and 0 if no stiffness is safe.
         """
@@ -101,13 +101,13 @@ class SurfaceMargins:
         return margins
 
     def _forget(self, compiler: Compiler) -> None:
-        """Clear the cache after a change of materials or pieces."""
+        """Clear the cached terms, as the table's materials or pieces have changed."""
         self._depends_on_radius = depends_on_radius(compiler.surfaces().materials).tolist()
         self._version = compiler.parts_version
         self._cache.clear()
 
     def _find(self, surfaces: SurfaceTable, missing: dict[_SurfaceKind, int]) -> None:
-        """Compute and cache the shared terms of these kinds, each from the slot of one surface."""
+        """Compute and cache the terms shared by surfaces of these kinds, each from the slot of one surface."""
         loop = self.loop
         found = properties_of(surfaces.of(np.fromiter(missing.values(), np.int64, len(missing))))
         none = np.zeros(len(missing))

@@ -39,7 +39,7 @@ class SurfaceProperties(NamedTuple):
     """Force along the tangent per m/s of speed error."""
 
     def of(self, rows: npt.NDArray[np.integer]) -> SurfaceProperties:
-        """Return the properties of the surfaces at these rows."""
+        """Return the properties of only the surfaces at these indices."""
         return SurfaceProperties(*(values[rows] for values in self))
 
 

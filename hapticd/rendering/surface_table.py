@@ -12,7 +12,7 @@ Ints = npt.NDArray[np.int64]
 
 
 class SurfaceTable(NamedTuple):
-    """Arrays of the compiler, valid until its table is updated."""
+    """Arrays of objects, materials and wall pieces in the compiler, valid until its table is updated."""
 
     objects: npt.NDArray[np.void]
     """OBJECT_DTYPE, by slot."""
@@ -26,7 +26,7 @@ class SurfaceTable(NamedTuple):
     """Names of the materials, by index."""
 
     def of(self, slots: Ints) -> SurfaceTable:
-        """Return a table of only these surfaces, in this order."""
+        """Return the table of only the surfaces at these slots, in this order."""
         objects = self.objects[slots]
         count, first = objects["piece_count"].astype(np.int64), objects["piece_first"].astype(np.int64)
         begin = np.cumsum(count) - count

@@ -1,4 +1,4 @@
-"""A vibration that the rate cannot carry, and the text that reports it.
+"""A vibration whose frequency is too high for the rate, and the text that reports it.
 
 The module imports only the standard library, so that `hapticd status` starts fast.
 """
@@ -13,7 +13,7 @@ Use: TypeAlias = Literal["tap", "second", "rupture", "groove", "texture"]
 
 @dataclass(frozen=True, slots=True)
 class Undisplayable:
-    """A mode, a texture's peak or the middle of a waveform's spectrum that the rate cannot carry.
+    """A mode, a texture's peak or the middle of a waveform's spectrum that lies above 0.4 of the rate.
 
     `shown_hz` is the frequency that is displayed instead; None if the vibration is silent.
     """

@@ -2,7 +2,7 @@
 
 table            the compiler: keeps slots, rewrites the records of what changed
 records          arrays of C records that grow in place, and their free indices
-walls            the pieces of walls with patches
+walls            the pieces (intervals of one material) of walls with patches
 materials        the materials of a scene: their records, noises, and entries in `numbers`
 material_record  the record of one material, and its arrays in `numbers`, the table's array of doubles
 mode_record      the record of one mode at the rate

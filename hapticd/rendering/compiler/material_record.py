@@ -32,7 +32,7 @@ _SIGNED_MEMBERS: Final = (
 
 
 def struck_modes(material: Material) -> Iterator[Mode]:
-    """Yield the modes that a device may play as effects."""
+    """Yield the modes of a material that a device may play itself, as effects: those of tap and rupture."""
     if material.tap is not None and material.tap.one_mode is not None:
         yield material.tap.one_mode
     if material.rupture is not None:
@@ -42,7 +42,7 @@ def struck_modes(material: Material) -> Iterator[Mode]:
 def material_record(
     material: Material, noise_index: int, output: Output, effects: Mapping[Mode, Effect | None] = MappingProxyType({})
 ) -> tuple[CData, Numbers]:
-    """Return a `struct hd_material *` and the arrays for `numbers`, whose indices are not yet set in it.
+    """Return a material's record, a `struct hd_material *` without the indices of its arrays, and these arrays.
 
     `noise_index` is the index of the material's noise, if any. `effects` are what a device plays in place of modes.
     """
@@ -120,7 +120,7 @@ def _put_tap(
 
 
 def _put_waveform(record: CData, waveform: Waveform, slope: float, coefficient: float, output: Output) -> None:
-    """Fill in a tap that plays a waveform."""
+    """Fill in the members of a material's record for a tap that plays a waveform."""
     rate_hz = displayed_wave_rate(waveform, output)
     shown_hz = waveform.rate_hz if rate_hz is None else rate_hz
     tap, slowed = record.tap, waveform.rate_hz / shown_hz

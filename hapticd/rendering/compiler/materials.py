@@ -22,20 +22,20 @@ from hapticd.rendering.device_output import Output
 
 
 class Effects(Protocol):
-    """Modes that a device plays as effects."""
+    """Modes that a device plays itself, as effects, instead of the servo."""
 
     def take(self, mode: Mode) -> Effect | None:
         """Register a use of a mode, and return the effect played in its place, or None."""
         ...
 
     def give(self, mode: Mode) -> None:
-        """Remove a use of a mode."""
+        """Remove a use of a mode that `take` registered."""
         ...
 
 
 @dataclass(slots=True)
 class _Used:
-    """A material in use."""
+    """A material that an object of the scene has, and its parts in the table."""
 
     name: str
     material: Material
@@ -71,7 +71,7 @@ class Materials:
         """Whether anything changed since the last `write`."""
 
     def turn_to(self, source: Mapping[str, Material]) -> list[int]:
-        """Take materials from `source`, which must stay unchanged; return the indices of used ones that changed."""
+        """Take the materials of `source`, which must stay unchanged; return the indices of changed ones in use."""
         if source is self._source:
             return []
         self._source = source
@@ -86,7 +86,7 @@ class Materials:
         return stale
 
     def turn_to_output(self, output: Output) -> list[int]:
-        """Compile all materials for another output, and return the indices of all in use."""
+        """Compile all materials for another output (device and rate), and return the indices of all in use."""
         self.output = output
         used = sorted(self._used)
         for index in used:
@@ -95,7 +95,7 @@ class Materials:
         return used
 
     def names(self) -> tuple[str, ...]:
-        """Return the names by index, empty where the index is free."""
+        """Return the names of the materials by index, empty where the index is free."""
         return tuple(self._used[index].name if index in self._used else "" for index in range(self._places.count))
 
     def use(self, name: str) -> int:
@@ -179,7 +179,7 @@ class Materials:
         yield
 
     def forget_prepared(self) -> None:
-        """Discard the results of `prepare`, whether or not the change was made."""
+        """Discard the results of `prepare`, whether or not the prepared materials came into use."""
         self._prepared = {}
 
     def changing(self, source: Mapping[str, Material]) -> list[str]:
@@ -193,7 +193,7 @@ class Materials:
         return self._rows.array[: self._places.count]
 
     def write(self, table: CData) -> None:
-        """Put materials, noises and numbers into a table."""
+        """Put the records of materials and noises, and their array `numbers`, into a table."""
         if self._numbers_changed:
             self._rebuild_numbers()
         table.material_count = self._places.count

@@ -17,7 +17,7 @@ Effect: TypeAlias = tuple[int, float, float]
 _NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
 """Members of `struct hd_mode` for a mode without a tail."""
 _NO_FREE: Final[tuple[float, ...]] = (0.0,) * 6
-"""Members of `struct hd_mode` for strikes without a surface, if the mode is not compensated."""
+"""Members of `struct hd_mode` that serve strikes without a surface, for a mode that is not compensated."""
 _NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * MAX_CORRECTED_SAMPLES), 0, 0)
 """Members of `struct hd_mode` for a mode without kicks."""
 
@@ -30,7 +30,7 @@ def mode_record(
     effect: Effect | None = None,
     touched: Touched = NO_SURFACE,
 ) -> tuple[float | list[float], ...]:
-    """Return the members of a `struct hd_mode`, in its order.
+    """Return the members of a mode's record, in the order of `struct hd_mode`.
 
     `amplitude_per_unit` (m/s^2 per unit of the excitation) is reported, `coefficient_per_unit` sets the force. The
     compensation is designed for the surface `touched`; at a strike, the core adapts it to the surface in contact.

@@ -123,7 +123,7 @@ def _speeds(table: ModeTable) -> tuple[float, ...]:
 def _nodes(
     arguments: tuple[float, ...], modes: tuple[Mode, ...], output: Output, touched: Touched
 ) -> tuple[Ringing | None, npt.NDArray[np.float64]]:
-    """Return the tail that all modes share, and the nodes (n, HD_TUNE_NODE).
+    """Return the tail (second pole of a strike's force) that all modes share, and the nodes (n, HD_TUNE_NODE).
 
     `arguments` are the frequencies or speeds of the nodes.
     """
@@ -141,7 +141,7 @@ def _nodes(
 
 
 def _row(argument: float, free: Shape, touched: Shape) -> tuple[float, ...]:
-    """Return the numbers of a node, in the order of enum hd_tune_number."""
+    """Return the numbers of a node of the table of modes, in the order of enum hd_tune_number."""
     tails = [0j if shape.tail is None else shape.tail.gain for shape in (touched, free)]
     gains = (touched.mode.gain, tails[0], free.mode.gain, tails[1])
     return argument, *(part for gain in gains for part in (gain.real, gain.imag)), touched.peak, free.peak

@@ -53,7 +53,7 @@ class Model(NamedTuple):
 
 
 def design(texture: Noise, output: Output) -> Steps[Design]:
-    """Design the filters of a texture, one in each step.
+    """Design the filters of a texture, one in each step (`yield`) of the computation.
 
     The filter of a model that was identified at another rate takes tens of milliseconds.
     """

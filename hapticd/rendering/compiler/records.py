@@ -11,7 +11,7 @@ from hapticd.base.core import CData, pointer, records
 
 
 def next_version(version: int) -> int:
-    """Return the version after this one: 32 bits, and never 0."""
+    """Return the version number of a record after a change: 32 bits, and never 0."""
     return version % 0xFFFFFFFF + 1
 
 
@@ -24,7 +24,7 @@ class Places:
         self._free: list[int] = []
 
     def take(self, wanted: int | None = None) -> int:
-        """Return a free index, or `wanted`, which must be free."""
+        """Allocate the lowest free index of the array, or `wanted`, which must be free, and return it."""
         if wanted is not None:
             self._free.remove(wanted)
             heapq.heapify(self._free)
@@ -35,7 +35,7 @@ class Places:
         return self.count - 1
 
     def give(self, index: int) -> None:
-        """Free an index."""
+        """Free an index of the array."""
         heapq.heappush(self._free, index)
 
 
@@ -47,13 +47,13 @@ class Records:
         self._hold(records(dtype, 16))
 
     def _hold(self, array: npt.NDArray[np.void]) -> None:
-        """Set the array, its view as bytes, and its pointer."""
+        """Set the array of records, its view as bytes, and its pointer."""
         self.array = array
         self.memory = array.view(np.uint8).data
         self.pointer: CData = pointer(self._ctype + "[]", array)
 
     def reserve(self, count: int) -> None:
-        """Ensure room for `count` records."""
+        """Enlarge the array, if necessary, so that it has room for `count` records."""
         if count > len(self.array):
             before = self.memory
             self._hold(records(self.array.dtype, max(count, 2 * len(self.array))))

@@ -35,12 +35,12 @@ if _OBJECT_RECORD.size != OBJECT_DTYPE.itemsize:
     raise ImportError("compiler/table.py: _OBJECT_RECORD must have the size of struct hd_object (csrc/api/hd_api.h)")
 
 MAX_BRAKED_MOMENTUM_PART: Final = 0.1
-"""Largest fraction of the handle's momentum that the passivity controller removes in a period."""
+"""Largest fraction of the handle's momentum that the passivity controller's brake removes in a period."""
 
 _PERIOD_TOLERANCE: Final = 1e-6
 """Ages are rounded up to multiples of the period, but down if they exceed one by at most this fraction of a period."""
 _NO_FIELD: Final = (0.0,) * 4
-"""The `_Field` of an object that is not a field."""
+"""Force law of an object that is not a field: no force."""
 _QUANTA_PER_UNIT: Final = 1 << 1074
 """Every double is an integer multiple of 1/_QUANTA_PER_UNIT."""
 _Place: TypeAlias = tuple[float, float, float, float, float, float]
@@ -89,7 +89,7 @@ def _field_of(item: SceneObject | None) -> _Field | None:
 
 
 def _quanta(value: float) -> int:
-    """Return the value as a multiple of 1/_QUANTA_PER_UNIT."""
+    """Return the value as a multiple of 1/_QUANTA_PER_UNIT, for sums without rounding."""
     numerator, denominator = value.as_integer_ratio()
     return numerator * (_QUANTA_PER_UNIT // denominator)
 
@@ -129,7 +129,7 @@ class Compiler:
         self._table.all_changed = 1
 
     def turn_to(self, output: Output) -> None:
-        """Compile for another output, such as another rate.
+        """Compile the scene for another output, such as another rate.
 
         The next `update` marks the entire table as changed. Slots and generations stay.
         """
@@ -151,7 +151,7 @@ class Compiler:
         self._table.handle_friction_n = 0.0 if known is None else known.friction_n
 
     def slot_of(self, id: str) -> tuple[int, int] | None:
-        """Return slot and generation of a surface; None for a field and for an unknown id."""
+        """Return a surface's slot and generation (the number of the slot's owner); None for a field or unknown id."""
         slot = self._slots.get(id)
         owner = None if slot is None else self._owners[slot]
         return None if slot is None or owner is None else (slot, owner[0])
@@ -186,14 +186,14 @@ class Compiler:
         return self._retired.get((slot, generation))
 
     def events_read(self, revision: int) -> None:
-        """Report that all events up to and including the tick that took this revision were read.
+        """Report that all events up to and including the first tick with this revision of the scene were read.
 
         The names of objects removed until then are released at the next update. May be called from any thread.
         """
         self._read_revision = revision
 
     def surfaces(self) -> SurfaceTable:
-        """Return the part of the table that determines the forces of surfaces and fields, until the next update."""
+        """Return the arrays that determine the forces of surfaces and fields, valid until the next update."""
         return SurfaceTable(
             self._objects.array[: self._places.count],
             self._materials.rows(),
@@ -240,7 +240,7 @@ class Compiler:
         self._table.all_changed = 0
 
     def restore(self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int) -> None:
-        """Restore the state before the last update, whose table was refused, slots and generations included.
+        """Restore the table as it was before the last update, which was refused, slots and generations included.
 
         The arguments are those of an `update` to that state. The entire table is marked as changed.
         """
@@ -304,7 +304,7 @@ class Compiler:
         return table
 
     def _put(self, id: str, item: Surface, former: _Owner | None) -> None:
-        """Write the record of a surface; `former` is the slot and generation that it gets back."""
+        """Write the record of a surface; `former` is the slot and generation that the surface gets back."""
         stamp = self._stamp
         shape, place = _place_of(item)
         material = self._materials.use(item.material)
@@ -348,7 +348,7 @@ class Compiler:
         self._changed.add(slot)
 
     def _retire(self, slot: int) -> None:
-        """Remove the owner of a slot, and keep its name for a while."""
+        """Remove the object that owns a slot, and keep its id until its events were read."""
         owner = self._owners[slot]
         assert owner is not None
         generation, id = owner

@@ -26,7 +26,7 @@ class _Pieces(NamedTuple):
 
 
 class PatchedWalls:
-    """The pieces of walls, by slot."""
+    """The pieces of walls with patches, by the slot of the wall."""
 
     def __init__(self, materials: Materials) -> None:
         self._materials = materials
@@ -38,7 +38,7 @@ class PatchedWalls:
         """Whether pieces changed since the last `write`."""
 
     def count(self, slot: int) -> int:
-        """Return the number of pieces of the wall at a slot; 0 without patches."""
+        """Return the number of pieces of the wall at a slot of the table; 0 without patches."""
         pieces = self._pieces.get(slot)
         return 0 if pieces is None else len(pieces.rows)
 
