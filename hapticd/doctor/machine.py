@@ -30,7 +30,7 @@ Verdict = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of output: the name of the check, its verdict, what it found, and what to do about it."""
+    """The result of a check, one line of output: name and verdict of the check, what it found, and what to do."""
 
     name: str
     verdict: Verdict
@@ -42,7 +42,7 @@ class Finding:
 
 
 def ok(name: str, what: str) -> Finding:
-    """Return a finding that needs no action."""
+    """Return the result of a check that passed and needs no action."""
     return Finding(name, "ok", what)
 
 
@@ -57,7 +57,7 @@ def fail(name: str, what: str, todo: str) -> Finding:
 
 
 def unknown(name: str, why: str) -> Finding:
-    """Return a warning that a check could not find out its result; `why` says which source is missing."""
+    """Return a warning that a check has no result; `why` says which source of information is missing."""
     return Finding(name, "warn", f"not known: {why}")
 
 

@@ -45,12 +45,12 @@ class RuntimePaths:
 
     @property
     def command(self) -> Path:
-        """The command socket (ROUTER). It is bound last: once it exists, the daemon is ready."""
+        """The socket for clients' commands (ROUTER). It is bound last: once it exists, the daemon is ready."""
         return self.directory / "hapticd.command"
 
     @property
     def telemetry(self) -> Path:
-        """The telemetry socket (PUB)."""
+        """The socket on which the daemon publishes telemetry (PUB)."""
         return self.directory / "hapticd.telemetry"
 
     @property
@@ -121,7 +121,7 @@ def check_directory(paths: RuntimePaths) -> None:
 
 
 def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
-    """Return the files that a client connects to.
+    """Return the files of the runtime directory of the daemon that a client connects to.
 
     A directory that was given, or that the environment names, is not checked, because a system daemon's directory
     belongs to the daemon's user. Any user could have created the directory below /tmp: raises HapticdError unless it
@@ -180,7 +180,7 @@ class Owned:
             return False
 
     def check(self) -> None:
-        """Log each file that another process removed or replaced, once. Checks at most once a second."""
+        """Log once each of the daemon's files that another process removed or replaced; at most one check a second."""
         if time.monotonic() < self._due_s:
             return
         self._due_s = time.monotonic() + _OWNERSHIP_CHECK_INTERVAL_S
