@@ -63,7 +63,7 @@ class Opened:
 
 
 Source = Callable[[], Opened]
-"""Function that finds and opens the device. Raises HapticdError if it cannot."""
+"""Function that finds and opens the device, and returns it. Raises HapticdError if the device cannot be opened."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ MAX_FOREIGN_EFFECT_S: Final = 0.1
 MAX_RESTORE_SHARE: Final = 1 / 3
 """Largest share of the output reports that a device accepts to be spent on restoring effects."""
 WRITER_DELAY_S: Final = 0.005
-"""Time added to `foreign_s`, because the operating system may delay the writer thread by up to this time."""
+"""Time added to the plan's `foreign_s`, because the system may delay the thread that writes forces by as much."""
 _MAX_MEASURED_FORCES: Final = 8
 """Largest number of forces that are sent to measure the rate."""
 _MEASUREMENT_TIMEOUT_S: Final = 0.05

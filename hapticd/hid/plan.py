@@ -139,7 +139,7 @@ class PlayingBits:
     """Effect Block Indices of hapticd's effects."""
     proof: int
     """Number of renewals that together take longer than an effect's duration. Once the device has reported over
-    `proof` renewals that an effect plays, each loss of an effect that it reports counts; before that, only the first."""
+    `proof` renewals that an effect plays, each loss of an effect that it reports counts; before, only the first."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,10 +34,10 @@ class Verdict:
     problem: str | None
     """Why the descriptor is not valid; None if it is valid."""
     driver: Driver | None
-    """The driver that sets up the device; None if it cannot be driven."""
+    """The driver that sets up the device; None if the device cannot be driven."""
     plan: Plan | None
-    """The plan, assuming that the device can create all wanted effects and numbers them from the first Effect Block
-    Index on; None if it cannot be driven."""
+    """The plan of fields and reports, assuming that the device can create all wanted effects and numbers them from the
+    first Effect Block Index on; None if it cannot be driven."""
     why_not: str | None
     """Why the device cannot be driven; None if it can be driven."""
 

@@ -55,7 +55,7 @@ class RuntimePaths:
 
     @property
     def lock(self) -> Path:
-        """A file with the daemon's process number. The lock itself, flock(2), is on the directory."""
+        """The file with the daemon's process number. The daemon's lock, flock(2), is on the directory."""
         return self.directory / "hapticd.lock"
 
     @property
@@ -168,7 +168,7 @@ class Owned:
         return own
 
     def remove(self, path: Path) -> None:
-        """Remove the file at `path` if this daemon created it."""
+        """Remove the file at `path` if this daemon created that file."""
         if self.is_ours(path):
             path.unlink(missing_ok=True)
 
@@ -218,7 +218,7 @@ def owned(paths: RuntimePaths) -> Iterator[Owned]:
 
 
 def _make_directory(paths: RuntimePaths) -> None:
-    """Create the directory and its missing parents with mode 0700, or accept an existing one if `check_directory` does.
+    """Create the runtime directory with mode 0700, and its parents, or accept one that `check_directory` accepts.
 
     An existing directory keeps its mode if that is 0750 or 0700, as systemd or an administrator set it; otherwise it
     gets 0700.

@@ -110,7 +110,7 @@ class PidDriver:
     def _effects_in_pool(self, device: Device) -> int | None:
         """Return how many effects the device plays at a time; None if this is not known, or if hapticd needs only one.
 
-        This must be called before the first effect is created.
+        The pool must be read before the first effect is created.
         """
         pool = None if "no_pid_pool" in self._hid.quirks else self._layout.pool
         several = len(effects_of(self._schemes[0], self._hid)) > 1
