@@ -72,7 +72,7 @@ class Field:
         """Return the counts of a full turn, for a field that holds a direction.
 
         The counts follow from the unit (degrees 0x14, radians 0x12), if the physical range in this unit is within 10 %
-        of one turn. Otherwise the range is taken as one turn, as in Linux: many descriptors reset the unit before it.
+        of one turn. Otherwise the range is one turn, as in Linux: many descriptors reset the unit before the field.
         """
         return (self.logical_max - self.logical_min) / (self._turns() or 1.0)
 
