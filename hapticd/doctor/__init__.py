@@ -36,6 +36,6 @@ ALL_CHECKS: Final[tuple[Callable[[Machine, Needs], Iterator[Finding]], ...]] = (
 
 
 def diagnose(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Run every check, in the order of `ALL_CHECKS`."""
+    """Run every check in the order of `ALL_CHECKS`, and yield the results."""
     for check in ALL_CHECKS:
         yield from check(machine, needs)

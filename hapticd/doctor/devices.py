@@ -61,7 +61,7 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def _node_path(device: Found) -> str:
-    """Return the device's node below /dev, without the root of the machine that is checked."""
+    """Return the path of the device's node as it is on the machine, without the root folder of a test."""
     return f"/dev/{Path(device.path).name}"
 
 
@@ -76,7 +76,7 @@ def _service_may_open(machine: Machine, device: Found) -> bool:
 
 
 def rule(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Check whether the udev rule is installed."""
+    """Check whether the udev rule that lets users open joysticks, 70-hapticd.rules, is installed."""
     paths = [f"/{folder}/udev/rules.d/{_UDEV_RULE_FILE}" for folder in _UDEV_RULE_FOLDERS]
     found = next((path for path in paths if machine.path(path).exists()), None)
     if found is not None:
@@ -113,7 +113,7 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def _node_users(machine: Machine) -> tuple[dict[str, set[str]], int]:
-    """Return the names of the processes, except hapticd's, by open file, and the number of unreadable processes."""
+    """Return the names of other programs' processes by the file they have open, and how many could not be read."""
     users: dict[str, set[str]] = {}
     hidden = 0
     for pid in machine.names("/proc", r"\d+"):

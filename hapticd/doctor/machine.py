@@ -30,7 +30,7 @@ Verdict = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of output: the name of the check, its verdict, what it found, and what to do about it."""
+    """The result of a check, one line of output: name and verdict of the check, what it found, and what to do."""
 
     name: str
     verdict: Verdict
@@ -42,7 +42,7 @@ class Finding:
 
 
 def ok(name: str, what: str) -> Finding:
-    """Return a finding that needs no action."""
+    """Return the result of a check that passed and needs no action."""
     return Finding(name, "ok", what)
 
 
@@ -57,7 +57,7 @@ def fail(name: str, what: str, todo: str) -> Finding:
 
 
 def unknown(name: str, why: str) -> Finding:
-    """Return a warning that a check could not find out its result; `why` says which source is missing."""
+    """Return a warning that a check has no result; `why` says which source of information is missing."""
     return Finding(name, "warn", f"not known: {why}")
 
 
@@ -77,7 +77,7 @@ class Needs:
 
 
 def command_output(words: Sequence[str]) -> str | None:
-    """Return the standard output of a command; None if it does not exist, fails or exceeds its time limit."""
+    """Return the standard output of a command; None if the command does not exist, fails or takes too long."""
     try:
         done = subprocess.run(
             words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_COMMAND_TIMEOUT_S, check=False
@@ -90,7 +90,7 @@ def command_output(words: Sequence[str]) -> str | None:
 def socket_holder(path: Path) -> tuple[int, bool] | None:
     """Return the process that listens on a Unix socket, and whether it is stopped by SIGSTOP or by a debugger.
 
-    Returns None if no process listens there or if it cannot be found out. Never blocks. Raises HapticdError if the
+    Returns None if no process listens there or if this is not known. Never blocks. Raises HapticdError if the
     listener's queue of connections is full.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as own:
@@ -128,7 +128,7 @@ class Machine:
     """Returns the name of a group, by its number."""
     run: Callable[[Sequence[str]], str | None] = command_output
     daemon: Callable[[], Mapping[str, object] | None] = field(default=lambda: None)
-    """Returns the daemon's get_status; None without a daemon. Raises HapticdError if it does not answer in time."""
+    """Returns the daemon's status; None without a daemon. Raises HapticdError if the daemon does not answer in time."""
     version: str = ""
     """The version of the installed package."""
     may_write: Callable[[Path], bool] = lambda path: os.access(path, os.W_OK)
@@ -136,7 +136,7 @@ class Machine:
     """Lists HID devices, given the folders /sys/class/hidraw and /dev."""
 
     def path(self, name: str) -> Path:
-        """Return the path below `root` of the file that has this absolute path on the machine."""
+        """Return the path, below the checks' root folder, of the file with this absolute path on the machine."""
         return self.root / name.lstrip("/")
 
     def text(self, name: str) -> str | None:

@@ -64,7 +64,7 @@ def preemption(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def _preemption_model(machine: Machine, version: str) -> str | None:
-    """Return "none", "voluntary", "lazy", "full" or "voluntary or none"; None if it is not known."""
+    """Return the preemption model: "none", "voluntary", "lazy", "full", "voluntary or none"; None if not known."""
     # "none voluntary (full)": the active model is in parentheses.
     match = re.search(r"\((\w+)\)", machine.text("/sys/kernel/debug/sched/preempt") or "")
     if match or not version:
@@ -142,7 +142,7 @@ def clock(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def priority(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Check whether a daemon that this user starts would get its priority."""
+    """Check whether a daemon that this user starts would get its priority under SCHED_FIFO."""
     soft, _ = machine.limit(resource.RLIMIT_RTPRIO)
     wanted, capable = f"SCHED_FIFO {needs.priority}", _has_capability(machine, _CAP_SYS_NICE)
     if capable or soft == resource.RLIM_INFINITY or soft >= needs.priority:
@@ -203,7 +203,7 @@ def isolation(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def governor(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Check the frequency governors of the processors."""
+    """Check whether the frequency governors let the processors run at a low clock frequency."""
     names = machine.names(_CPU_FOLDER, r"cpu\d+") if needs.cpu is None else [f"cpu{needs.cpu}"]
     found = {name: machine.text(f"{_CPU_FOLDER}/{name}/cpufreq/scaling_governor") for name in names}
     slow = {name: text for name, text in found.items() if text and text != "performance"}

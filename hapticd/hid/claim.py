@@ -33,9 +33,9 @@ GENERIC_DRIVER: Final = "hid-generic"
 REBIND_TIMEOUT_S: Final = 5.0
 """After a device was bound to a driver, its hidraw node must exist within this time."""
 _UDEVADM_TIMEOUT_S: Final = 5.0
-"""Time limit of a command of udev."""
+"""Time limit of one udevadm command."""
 _ACL_ATTRIBUTE: Final = "system.posix_acl_access"
-"""The access list by which udev opens a node to the user at the seat."""
+"""The attribute with the access list by which udev opens a device node to the user at the seat."""
 _HIDDEN_BY_RULE: Final = ": only root may open its event nodes already, because of a line in 70-hapticd.rules"
 
 Write = Callable[[Path, str], None]
@@ -51,12 +51,12 @@ def _run(command: Sequence[str]) -> None:
 
 
 class Claims:
-    """The claimed devices of a machine, which the udev rule below /run lists."""
+    """The claimed devices of a machine, kept from other programs by the udev rules in CLAIM_RULES_PATH."""
 
     def __init__(
         self, root: Path = Path("/"), write: Write = _write, run: Callable[[Sequence[str]], None] = _run
     ) -> None:
-        """Use the files below `root`. `write` writes a file of sysfs, `run` executes a command of udev."""
+        """Use the system files below `root`. `write` writes a file of sysfs, `run` executes a udevadm command."""
         self._root, self._write, self._run = root, write, run
         self._rules = root / CLAIM_RULES_PATH
 
@@ -70,7 +70,7 @@ class Claims:
         return [name for name in named if self._device(name).exists()]
 
     def claim(self, found: Found) -> str:
-        """Keep other programs off a device, and return its new driver. Raises HapticdError."""
+        """Keep other programs off a device, and return the name of its new kernel driver. Raises HapticdError."""
         name, claimed = self._name(found), self.names()
         if name in claimed:
             raise HapticdError(f"{found} is already claimed; `hapticd devices release {found.path}` releases it")
@@ -82,7 +82,7 @@ class Claims:
         return driver
 
     def release(self, found: Found) -> str:
-        """Allow other programs to use a device again, and return its new driver. Raises HapticdError."""
+        """Let other programs use a device again, and return the name of its new kernel driver. Raises HapticdError."""
         name, claimed = self._name(found), self.names()
         if name not in claimed:
             raise HapticdError(f"{found} is not claimed{_HIDDEN_BY_RULE if self._is_root_only(name) else ''}")
@@ -112,7 +112,7 @@ class Claims:
         return driver.resolve().name if driver.exists() else ""
 
     def _write_rules(self, names: Sequence[str]) -> None:
-        """Write the udev rules of these devices, and have udev read them."""
+        """Write the udev rules that hide the nodes of these devices, and have udev read the rules."""
         if names:
             self._rules.parent.mkdir(parents=True, exist_ok=True)
             check_regular(self._rules)
@@ -162,7 +162,7 @@ class Claims:
 
 
 def _rule(name: str) -> str:
-    """Return the udev rules for one device."""
+    """Return the udev rules that give the event and joystick nodes of one device to root."""
     return (
         f'SUBSYSTEM=="input", KERNELS=="{name}", ENV{{ID_INPUT_JOYSTICK}}="", TAG-="uaccess"\n'
         f'SUBSYSTEM=="input", KERNEL=="event*|js*", KERNELS=="{name}", GROUP:="root", MODE:="0600"\n'
@@ -170,7 +170,7 @@ def _rule(name: str) -> str:
 
 
 def _hide(node: Path) -> None:
-    """Let only root open a node, in case udev does not run or created the node before it read the rule."""
+    """Let only root open a device node, in case udev does not run or created the node before it read the rule."""
     with contextlib.suppress(FileNotFoundError):
         with contextlib.suppress(OSError):
             os.removexattr(node, _ACL_ATTRIBUTE)

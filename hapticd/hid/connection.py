@@ -25,7 +25,7 @@ from hapticd.hid.stopper import StopFile
 from hapticd.system.repeated_lines import MAX_STATE_INTERVAL_S, Repeats
 
 RECONNECT_INTERVAL_S: Final = 0.25
-"""Interval of the attempts to connect a lost device."""
+"""Interval between two attempts to connect a lost device."""
 READY_TIMEOUT_S: Final = 0.25
 """After a device was set up again, its actuators must be on within this time."""
 READY_POLL_INTERVAL_S: Final = 0.02
@@ -47,28 +47,28 @@ _log = logging.getLogger("hapticd")
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """An open device with its driver and the properties of its reports."""
+    """An open device, the driver that sets it up, and how the device sends and accepts reports."""
 
     device: Device
     driver: Driver
     name: str
     out_interval_s: float | None = None
-    """Interval of the endpoint for output reports; None if it is not known."""
+    """Polling interval of the USB endpoint for output reports; None if it is not known."""
     on_change: bool | None = None
     """Whether the device reports only changes; None if `_connect` has to find this out from its reports."""
     measure: bool = True
-    """Whether to measure how long output reports take."""
+    """Whether to measure, during set-up, the rate at which the device accepts output reports."""
     identity: str = ""
     """Text that distinguishes the device from others."""
 
 
 Source = Callable[[], Opened]
-"""Function that finds and opens the device. Raises HapticdError if it cannot."""
+"""Function that finds and opens the device, and returns it. Raises HapticdError if the device cannot be opened."""
 
 
 @dataclass(frozen=True, slots=True)
 class _LiveConnection:
-    """A connected device, with its plan and its link."""
+    """A connected device, with its plan (its fields and reports) and its link (the rate of forces it accepts)."""
 
     opened: Opened
     plan: Plan
@@ -166,7 +166,7 @@ class Connection:
         lib.hd_hid_suspect(self.hid)
 
     def status(self) -> dict[str, object]:
-        """Return the map that get_status contains as its member `connection`."""
+        """Return the state of the connection as a map: the member `connection` of the status that clients request."""
         live, raw = self._live, self._raw()
         states = {
             meaning.name.lower(): bool(raw.states >> (meaning - 1) & 1)
@@ -222,7 +222,7 @@ class Connection:
             self._count()
 
     def _try(self, work: Callable[[], object]) -> None:
-        """Call `work`. An error ends the connection; an error that repeats is logged once."""
+        """Call `work`, which connects or recovers the device. An error in it ends the connection."""
         try:
             work()
         except HapticdError as error:
@@ -313,8 +313,8 @@ class Connection:
     def _recover(self) -> None:
         """Set up the device again after a reset.
 
-        If the plan is the same, with the same Effect Block Indices, C keeps the connection, and only the forces during
-        the set-up are lost. The set-up is repeated as long as the device keeps its actuators off.
+        If the set-up results in the same plan, with the same Effect Block Indices, C keeps the connection, and
+        only the forces during the set-up are lost. The set-up is repeated while the device keeps its actuators off.
         """
         live = self._live
         assert live is not None
@@ -352,7 +352,7 @@ class Connection:
         return raw
 
     def _count(self) -> None:
-        """Measure the rates of reports and forces, in Hz, if the last measurement is old enough."""
+        """Measure the rates of input reports and of sent forces, in Hz, unless the last measurement is too recent."""
         raw, now = self._raw(), time.monotonic()
         if self._counted is None:
             self._counted = (now, raw.reports, raw.forces)

@@ -57,10 +57,10 @@ class Device(Protocol):
 
 
 class Driver(Protocol):
-    """Sets up the devices of one class."""
+    """Driver that sets up the devices of one class, for example of the PID class."""
 
     def set_up(self, device: Device) -> Plan:
-        """Set up the device, with a force of zero, and return its plan. Raises DeviceError."""
+        """Set up the device with a force of zero, and return the plan of its reports. Raises DeviceError."""
         ...
 
 
@@ -145,7 +145,7 @@ class HidrawDevice:
             raise DeviceError(f"{self._path}: the device is gone") from None
 
     def close(self) -> None:
-        """Close the node."""
+        """Close the hidraw node, and so release its lock."""
         self._hidapi.close()
         os.close(self._fd)
 

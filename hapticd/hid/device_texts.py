@@ -15,7 +15,7 @@ def offload_text(outcome: Mapping[str, object]) -> str:
 
 
 def unseen_reset_text(node: str, foreign_s: object = None) -> tuple[str, str]:
-    """Return the condition and the remedy for a device that does not report which of its effects play.
+    """Return two texts on a device that does not report which effects play: what may happen, and the remedy.
 
     `foreign_s` is the longest time, in s, that another program's effect can replace hapticd's effect; None if unknown.
     """

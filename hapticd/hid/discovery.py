@@ -42,17 +42,17 @@ class Found:
     driver: str
     descriptor: bytes
     in_interval_s: float | None
-    """Interval of the USB interrupt endpoint for input reports; None without one."""
+    """Interval of the USB interrupt endpoint for input reports; None without such an endpoint."""
     out_interval_s: float | None
-    """Interval of the USB interrupt endpoint for output reports; None without one."""
+    """Interval of the USB interrupt endpoint for output reports; None without such an endpoint."""
     permission: Literal["ok", "denied", "absent"]
     """Whether this process may open the node, or "absent" if it does not exist."""
     hid_name: str = ""
     """Name of the device in /sys/bus/hid/devices."""
     port: str = ""
-    """The port that it is plugged into, as HID_PHYS names it."""
+    """The port that the device is plugged into, as HID_PHYS in sysfs names it."""
     hid: Hid = field(default=Hid(), kw_only=True)
-    """The configuration for which the verdict holds."""
+    """The configuration (device.hid) for which `verdict` was made."""
     verdict: Verdict = field(init=False, repr=False, compare=False)
     """Whether and how the device can be driven."""
 
@@ -67,7 +67,7 @@ class Found:
 
     @property
     def resets_seen(self) -> bool | None:
-        """Whether its PID State report shows which effects play, so that hapticd notices a reset by another program.
+        """Whether the device's PID State report shows which effects play, and so a reset by another program.
 
         None if the device cannot be driven, or has no effects (vendor reports). A device may declare PID State in its
         descriptor and never send it.
@@ -85,12 +85,12 @@ class Found:
 
     @property
     def lacks_forces(self) -> bool:
-        """Whether its descriptor has no Set Constant Force report, or is not valid."""
+        """Whether the device's report descriptor has no Set Constant Force report, or is not valid."""
         layout = self.verdict.layout
         return layout is None or layout.constant_force is None
 
     def evaluated_by(self, hid: Hid) -> Found:
-        """Return the same device with its verdict for `hid`; unchanged if that configuration does not select it."""
+        """Return this device with its verdict for `hid`; unchanged if that configuration selects another."""
         return replace(self, hid=hid) if hid != self.hid and is_selected(hid, self) else self
 
     def to_dict(self) -> dict[str, object]:

@@ -21,11 +21,11 @@ from hapticd.hid.plan import Plan
 MAX_FOREIGN_EFFECT_S: Final = 0.1
 """Target for the longest time that another program's effect can replace hapticd's effect; a slow link takes longer."""
 MAX_RESTORE_SHARE: Final = 1 / 3
-"""Largest share of the link's reports that is spent on restoring effects."""
+"""Largest share of the output reports that a device accepts to be spent on restoring effects."""
 WRITER_DELAY_S: Final = 0.005
-"""Time added to `foreign_s`, because the operating system may delay the writer thread by up to this time."""
+"""Time added to the plan's `foreign_s`, because the system may delay the thread that writes forces by as much."""
 _MAX_MEASURED_FORCES: Final = 8
-"""Largest number of forces that are sent to measure their time."""
+"""Largest number of forces that are sent to measure the rate."""
 _MEASUREMENT_TIMEOUT_S: Final = 0.05
 """The measurement ends after this time, even if fewer forces were sent."""
 
@@ -38,7 +38,7 @@ class Link:
     """
 
     endpoint_hz: float | None
-    """Limit that follows from the interval of the endpoint."""
+    """Limit that follows from the interval of the USB endpoint for output reports."""
     measured_hz: float | None
     """Rate that was measured during set-up."""
     limit_hz: float | None
@@ -58,7 +58,7 @@ class Link:
 
 
 def link_of(plan: Plan, out_interval_s: float | None, measured_hz: float | None = None) -> Link:
-    """Return the link of a plan. `out_interval_s` is the interval of its endpoint; None if it is not known."""
+    """Return the rate limits of a device with this plan; `out_interval_s` is its endpoint's interval, if known."""
     count = max(1, len(plan.force))
     endpoint = None if not out_interval_s else 1.0 / (out_interval_s * count)
     limit = None if plan.write_interval_s <= 0.0 else 1.0 / (plan.write_interval_s * count)
@@ -66,7 +66,7 @@ def link_of(plan: Plan, out_interval_s: float | None, measured_hz: float | None 
 
 
 def measured_force_hz(device: Device, plan: Plan) -> float | None:
-    """Send a few forces of zero and return the median rate in Hz; None if the plan has no message for forces."""
+    """Send a few forces of zero, and return their median rate in Hz; None if the plan has no message for forces."""
     reports = [message.at_rest() for message in plan.force]
     took_s: list[float] = []
     begun = time.monotonic()
@@ -79,9 +79,9 @@ def measured_force_hz(device: Device, plan: Plan) -> float | None:
 
 
 def plan_paced_for_link(plan: Plan, force_hz: float | None) -> Plan:
-    """Return the plan with `restore_s` and `foreign_s` for a link that carries `force_hz` forces a second.
+    """Return the plan with `restore_s` and `foreign_s` for a device that accepts `force_hz` forces a second.
 
-    If `force_hz` is None, the link has no limit.
+    If `force_hz` is None, this rate has no limit.
     """
     if plan.foreign_s is None:
         return plan

@@ -40,7 +40,7 @@ _Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class NearestEffect:
-    """The nearest effect to a mode whose coefficient is 1 N: times in counts of the device, levels in N."""
+    """The nearest effect to a mode with an initial amplitude of 1 N: times in counts of the device, levels in N."""
 
     period: int
     duration: int
@@ -52,16 +52,16 @@ class NearestEffect:
     period_s: float
     duration_s: float
     error: float
-    """RMS of the difference from the mode, divided by the RMS of the mode."""
+    """RMS of the difference between effect and mode, divided by the RMS of the mode."""
 
     @property
     def frequency_hz(self) -> float:
-        """The frequency of the effect."""
+        """The frequency of the effect's sine, in Hz."""
         return 1.0 / self.period_s
 
     @property
     def peak(self) -> float:
-        """The largest level."""
+        """The largest level of the effect's envelope, in N."""
         return max(self.attack_level, self.magnitude, self.fade_level)
 
 
@@ -113,7 +113,7 @@ def streamed_error(mode: Mode, carried_hz: float) -> float:
     """Return the relative RMS error of a mode that is streamed: sent as forces, each of which is held until the next.
 
     It is sqrt(2 - 2 sin(h) / h) with h = w / (2 rate) and the mode's angular frequency w, the error of a steady sine
-    after its delay is removed. For a frequency above 0.4 of the rate, which is muted or replaced, it is 1.
+    after its delay is removed. A mode whose frequency is above 0.4 of the rate is muted or replaced: the error is 1.
     """
     if mode.frequency_hz > DISPLAYABLE_RATE_FRACTION * carried_hz:
         return 1.0
@@ -122,7 +122,7 @@ def streamed_error(mode: Mode, carried_hz: float) -> float:
 
 
 def _tried_counts(scale: Scale, longest_s: float) -> npt.NDArray[np.int64]:
-    """Return about TRIED_TIMES evenly spaced counts for times from 0 to `longest_s`."""
+    """Return about TRIED_TIMES evenly spaced counts of a time field, for times from 0 to `longest_s`."""
     first, last = scale.counts(0.0), scale.counts(longest_s)
     return np.arange(first, last + 1, max(1, round((last - first) / TRIED_TIMES)))
 
@@ -143,7 +143,7 @@ def _tried_times(longest_s: float, numbers: Numbers) -> _TriedTimes:
 
 
 def _products(mode: Mode, period_s: float, times: _TriedTimes) -> tuple[_Floats, _Floats, float]:
-    """Return the normal equations for the levels of n envelopes.
+    """Return the normal equations of the least-squares fit of levels, for n envelopes.
 
     The three basis functions are the contributions of attack level, magnitude and fade level. The results are their
     Gram matrix [n][3][3], their inner products with the mode [n][3], and the mode's mean square, all as means over the
@@ -203,7 +203,7 @@ def _non_negative_levels(gram: _Floats, product: _Floats) -> _Floats:
 
 
 def _rounded_levels(levels: _Floats, numbers: Numbers) -> _Floats:
-    """Return the levels as the device plays them in the strongest possible strike, rounded to its counts."""
+    """Return the levels rounded to the device's counts as in the strongest strike that the fields can hold."""
     full_n = max_coefficient_n(float(levels.max()), numbers)
     scales = (numbers.attack_level, numbers.magnitude, numbers.fade_level)
     shown = [scale.quantity(scale.counts(level * full_n)) for scale, level in zip(scales, levels, strict=True)]
@@ -211,7 +211,7 @@ def _rounded_levels(levels: _Floats, numbers: Numbers) -> _Floats:
 
 
 def max_coefficient_n(peak: float, numbers: Numbers) -> float:
-    """Return the largest coefficient, in N, for which every level's field can hold `peak` times the coefficient."""
+    """Return the largest amplitude of a mode, in N, for which every field of a level can hold `peak` times it."""
     return min(scale.largest for scale in (numbers.attack_level, numbers.magnitude, numbers.fade_level)) / max(
         peak, 1e-9
     )

@@ -29,13 +29,13 @@ class EffectUse(NamedTuple):
 
     id: int
     peak: float
-    """Largest level of the envelope, divided by the mode's coefficient."""
+    """Largest level of the effect's envelope, divided by the mode's initial amplitude (its coefficient)."""
     duration_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Offloaded:
-    """Whether and how the device plays a tap or a rupture. Unknown properties of its effect are None."""
+    """Whether and how the device plays a tap or rupture of a material. Unknown properties of the effect are None."""
 
     material: str
     mode: str
@@ -86,8 +86,8 @@ class Offload:
     def attach(self, periodic: Periodic | None, problem: str) -> None:
         """Use the effects of a new connection; without effects, `problem` says why.
 
-        The first device with effects determines the effects of all modes. A later device plays effects only if it has
-        as many, with the same fields.
+        The first device with effects determines the effects of all modes. A device connected later plays effects only
+        if it has as many effects, with the same fields.
         """
         with self._lock:
             known = self._periodic
@@ -110,11 +110,11 @@ class Offload:
     # ---- The thread that changes the scene -----------------------------------------------------------------------
 
     def set_carried(self, carried_hz: float) -> None:
-        """Set the rate of streamed forces, in Hz, on which the error of a streamed mode depends."""
+        """Set the rate in Hz at which forces reach the device; the error of a streamed mode depends on it."""
         self._carried_hz = carried_hz
 
     def take(self, mode: Mode) -> EffectUse | None:
-        """Register a use of a mode, and return the effect that is played in its place; None if it is streamed."""
+        """Register a use of a mode, and return the device effect played in its place; None if the mode is streamed."""
         with self._lock:
             if mode not in self._nearest and self._periodic is not None:
                 self._nearest[mode] = nearest_effect(mode, self._periodic.numbers)
@@ -243,7 +243,7 @@ def _refusal_reason(nearest: NearestEffect | None, mode: Mode, carried_hz: float
 
 
 def _for_c(held: _AssignedEffect, periodic: Periodic) -> dict[str, object]:
-    """Return the members of a `struct hd_device_effect`."""
+    """Return an assigned effect as the members of C's `struct hd_device_effect`."""
     numbers, shape = periodic.numbers, held.effect
     messages = [message.for_c() for message in effect_messages(shape, periodic, held.place)]
     largest_n = max_coefficient_n(shape.peak, numbers)
@@ -264,7 +264,7 @@ def _for_c(held: _AssignedEffect, periodic: Periodic) -> dict[str, object]:
 def effect_messages(shape: NearestEffect, periodic: Periodic, place: int) -> tuple[Message, ...]:
     """Return Set Effect, Set Envelope, Set Periodic and the start (Effect Operation) of the device's effect `place`.
 
-    The force that is written into these messages is the mode's coefficient as a vector.
+    The force that C writes into these messages is the mode's initial amplitude (its coefficient) as a vector.
     """
     numbers, block = periodic.numbers, periodic.blocks[place]
     effect, envelope, period = bytearray(block.set_effect.data), bytearray(block.envelope), bytearray(block.periodic)

@@ -42,7 +42,7 @@ class Bits:
 
     @property
     def end(self) -> int:
-        """Offset of the first bit after the field."""
+        """Offset, in bits, of the first bit after this bit field."""
         return self.bit_offset + self.bit_size
 
     @property
@@ -114,7 +114,7 @@ class Message:
         return bytes(report)
 
     def for_c(self) -> dict[str, object]:
-        """Return the members of a `struct hd_hid_message`."""
+        """Return the message as the members of C's `struct hd_hid_message`."""
         values = [_c_members(value) for value in self.values]
         return {"length": len(self.data), "bytes": self.data, "value_count": len(values), "values": values}
 
@@ -138,8 +138,8 @@ class PlayingBits:
     indices: tuple[int, ...]
     """Effect Block Indices of hapticd's effects."""
     proof: int
-    """If a device reports that an effect plays over this many renewals, which take longer than the effect's duration,
-    each loss of an effect that it reports counts; otherwise only the first."""
+    """Number of renewals that together take longer than an effect's duration. Once the device has reported over
+    `proof` renewals that an effect plays, each loss of an effect that it reports counts; before, only the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,12 +154,12 @@ class Scale:
 
     @property
     def resolution(self) -> float:
-        """The change of the quantity by one count."""
+        """The change of the field's quantity by one count."""
         return 1.0 / self.counts_per_unit
 
     @property
     def largest(self) -> float:
-        """The quantity at the largest count."""
+        """The field's quantity at its largest count."""
         return self.quantity(self.most)
 
     def counts(self, quantity: float) -> int:
@@ -206,14 +206,14 @@ class Periodic:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The plan of a connection: fields, messages and their timing."""
+    """The plan of a connection: the fields of input reports, the output reports (messages), and their timing."""
 
     x: AxisPlan
     y: AxisPlan
     force: tuple[Message, ...]
-    """Messages for each new force, sent in this order."""
+    """Messages that carry each new force, sent in this order."""
     renew: tuple[Message, ...]
-    """Messages that are sent every `renew_s`."""
+    """Messages that are sent every `renew_s`, so that effects do not end by their finite duration."""
     stop: tuple[Message, ...]
     """Messages that are sent at an orderly end, after a force of zero."""
     begin: tuple[Message, ...] = ()
@@ -240,7 +240,7 @@ class Plan:
     leak: float = 0.0
     """Largest fraction of a force that acts at right angles to it, because directions are rounded to counts."""
     signs: Signs | None = None
-    """The check of signs before the first force of the scene; None if the signs are trusted."""
+    """Parameters of the check, before the scene's first force, whether forces push the right way; None skips it."""
 
     @property
     def resolution_m(self) -> float:
@@ -249,7 +249,7 @@ class Plan:
 
     @property
     def leak_text(self) -> str:
-        """A text for users about `leak`; empty if it is below a thousandth."""
+        """A text for users about `leak`, the force at right angles; empty if `leak` is below a thousandth."""
         if self.leak < 1e-3:
             return ""
         return f"one effect for both axes: up to {100.0 * self.leak:.2g} % of a force acts at right angles to it"

@@ -27,9 +27,9 @@ from hapticd.hid.device import MAX_REPORT_BYTES, arrived_reports
 from hapticd.hid.plan import DeviceError
 
 RECORDING_VERSION: Final = 1
-"""Version of the format, in `recording`."""
+"""Version of the file format, which the member `recording` of the first line contains."""
 _HEADER_MEMBERS: Final = ("recording", "name", "vendor", "product", "descriptor")
-"""Members of the first line, all required."""
+"""Members of the map in a recording's first line, all required."""
 MIN_ROUND_PAUSE_S: Final = 1e-3
 """Shortest pause before a recording is repeated, so that one of zero length does not keep a processor busy."""
 
@@ -112,7 +112,7 @@ def _report(value: list[Any], before_s: float) -> tuple[float, bytes]:
 
 
 def record(fd: int, duration_s: float) -> tuple[tuple[float, bytes], ...]:
-    """Return the input reports of a device, with their times, that arrive within a time or until it is gone."""
+    """Return the input reports, with their times, that a device sends within `duration_s` or until it is gone."""
     reports: list[tuple[float, bytes]] = []
     start_s = time.monotonic()
     with suppress(DeviceError):
@@ -166,7 +166,7 @@ class ReplayDevice:
         return b""
 
     def close(self) -> None:
-        """End the thread and close the sockets."""
+        """End the thread that plays the recording, and close the sockets between it and the reader."""
         self._closing.close()
         self._thread.join()
         self._wake.close()

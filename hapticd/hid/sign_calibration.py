@@ -26,18 +26,18 @@ PUSH_HOLD_S: Final = 0.4
 PUSH_PAUSE_S: Final = 0.5
 """Pause before each push, in which the handle comes to rest."""
 PUSH_STEP_S: Final = 0.01
-"""Interval between two forces."""
+"""Interval between two forces that are sent during a push."""
 MIN_MOTION_SHARE: Final = 0.02
-"""Smallest motion that counts, as a fraction of the handle's half travel."""
+"""Smallest motion that counts as moved, as a fraction of the handle's half travel."""
 SUFFICIENT_MOTION_SHARE: Final = 0.2
 """A push ends early once the handle has moved by this fraction of its half travel."""
 MIN_MOTION_RATIO: Final = 2.0
-"""The axis of a motion is clear if the motions along both axes have at least this ratio."""
+"""The axis of a motion is clear if the motion along it is at least this many times that along the other axis."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """The result of a calibration."""
+    """The result of a calibration of the direction in which a device pushes."""
 
     force_axes: ForceAxes
     moved_m: dict[str, tuple[float, float]]
@@ -45,7 +45,7 @@ class Calibration:
 
 
 class _Pusher:
-    """Sends forces and reads positions in real time."""
+    """Sends forces to a device during a calibration, and reads the positions of its handle."""
 
     def __init__(self, device: Device, plan: Plan, now: Callable[[], float], pause: Callable[[float], None]) -> None:
         self._device, self._plan = device, plan
@@ -107,7 +107,7 @@ class _Pusher:
         return moved
 
     def sent(self) -> str:
-        """Return in hex, ids first, the reports that set up and start the effects, then those of the last push."""
+        """Return in hex, ids first, the sent reports that set up and start the effects, then those of the last push."""
         before = [message.at_rest() for message in (*self._plan.restore, *self._plan.renew)]
         return ", ".join(report.hex(" ") for report in (*before, *self._sent))
 
@@ -121,7 +121,7 @@ def calibrate(
     now: Callable[[], float] = time.monotonic,
     pause: Callable[[float], None] = time.sleep,
 ) -> Calibration:
-    """Push the handle along each axis in both directions, and find the force axes from its motion; takes about 5 s.
+    """Push the handle both ways along each axis, and find the axes and signs of forces from its motion, in about 5 s.
 
     `driver` and `hid` must have the default `force_axes`. Raises DeviceError if the handle did not move, if the result
     is not clear, or if the device is gone; ValueError if the force exceeds MAX_FORCE_SHARE of the full force.
@@ -165,7 +165,7 @@ def _single_axis_hint(moved: dict[str, tuple[float, float]]) -> str:
 
 
 def _force_axes_of(moved: dict[str, tuple[float, float]]) -> ForceAxes:
-    """Return the force axes for these motions. Raises DeviceError if they are not clear."""
+    """Return the axis and sign of the device's forces, from these motions. Raises DeviceError if they are not clear."""
     moves = {}
     for name, (x, y) in moved.items():
         if max(abs(x), abs(y)) < MIN_MOTION_RATIO * min(abs(x), abs(y)):

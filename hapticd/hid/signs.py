@@ -12,13 +12,13 @@ from typing import Final
 from hapticd.base.core import SignsProblem, SignsState, lib
 
 PULSE_FORCE_SHARE: Final = 0.1
-"""Force of a pulse, as a fraction of the device's largest force."""
+"""Force of a pulse by which the check pushes the handle, as a fraction of the device's largest force."""
 MIN_PULSE_MOTION_SHARE: Final = 0.005
-"""Smallest motion that counts, as a fraction of the handle's half travel."""
+"""Smallest motion by a pulse that shows a sign, as a fraction of the handle's half travel."""
 PULSE_END_MOTION_SHARE: Final = 0.1
 """A pulse ends early once the handle has moved by this fraction of its half travel."""
 _MIN_MOTION_ENCODER_STEPS: Final = 2.0
-"""Smallest motion that counts, in steps of the encoder."""
+"""Smallest motion by a pulse that shows a sign, in steps of the encoder."""
 _PROBLEM_TEXTS: Final[dict[SignsProblem, str]] = {
     SignsProblem.REVERSED: "a force along {axis} moves the handle the other way",
     SignsProblem.SWAPPED: "a force along {axis} moves the handle along {other}",
@@ -36,33 +36,33 @@ _log = logging.getLogger("hapticd")
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """The check of one device: the members of `struct hd_hid_signs`."""
+    """Parameters of the check of one device's signs: the members of C's `struct hd_hid_signs`."""
 
     number: int
     """Number of the device, from 1; each device is checked once."""
     axes: int
     """The axes that are checked: bit 0 x, bit 1 y."""
     force_n: float
-    """Force of a pulse."""
+    """Force of the pulse by which the check pushes the handle."""
     least_m: float
-    """Smallest motion that counts."""
+    """Smallest motion by a pulse that shows a sign."""
     enough_m: float
-    """A pulse ends early after this motion."""
+    """Motion of the handle after which a pulse ends early."""
 
 
 class Check:
-    """The parameters of the check for each device that is connected."""
+    """Makes the parameters of the check of signs, for each device that is connected."""
 
     def __init__(self, travel_m: float, full_scale_force_n: float) -> None:
-        """Create the check; `travel_m` is half the handle's travel, `full_scale_force_n` the device's largest force."""
+        """Use half the handle's travel, `travel_m`, and the device's largest force, `full_scale_force_n`."""
         self._travel_m, self._force_n = travel_m, PULSE_FORCE_SHARE * full_scale_force_n
         self._numbers: dict[str, int] = {}
 
     def of(self, identity: str, axes: tuple[bool, bool], resolution_m: float) -> Signs | None:
-        """Return the check of a device; None if it has no axis with both a position and a force.
+        """Return the parameters for a device; None if it has no axis with both a position and a force.
 
-        `axes` says for x and y whether they have both. A device that is connected again gets the same number, so that
-        it is not checked again.
+        `axes` says for x and y whether the axis has both. A device that is connected again gets the same number, so
+        that it is not checked again.
         """
         if not any(axes):
             return None
@@ -74,7 +74,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class SignsStatus:
-    """The state of the check, as the servo reports it."""
+    """The state of the check of signs, as the servo reports it."""
 
     state: SignsState
     problem: SignsProblem
@@ -82,7 +82,7 @@ class SignsStatus:
 
     @classmethod
     def read(cls, word: int) -> SignsStatus:
-        """Decode `signs` of struct hd_counters."""
+        """Decode the state from the member `signs` of C's `struct hd_counters`."""
         problem = word >> lib.HD_SIGNS_PROBLEM_SHIFT & 0xFF
         axis = word >> lib.HD_SIGNS_AXIS_SHIFT & 0xFF
         return cls(SignsState(word & 0xFF), SignsProblem(problem), "xy"[axis])
@@ -100,7 +100,7 @@ class SignsStatus:
 
     @property
     def advice(self) -> str:
-        """What the user should do about the problem."""
+        """What the user should do about the problem that the check found."""
         if self.state == SignsState.WRONG:
             return SIGNS_REMEDY
         if self.state == SignsState.UNCLEAR:
@@ -109,11 +109,11 @@ class SignsStatus:
         return f"{away}let go of it"
 
     def line(self) -> str | None:
-        """Return problem and advice in one line; None without a problem."""
+        """Return the problem of the signs and the advice in one line; None without a problem."""
         return None if self.seen is None else f"{self.seen}: {self.advice}"
 
     def to_dict(self) -> dict[str, object]:
-        """Return the member `signs` of get_status."""
+        """Return the state as a map: the member `signs` of the status that clients request."""
         named = self.state in (SignsState.CHECKING, SignsState.WRONG, SignsState.UNCLEAR)
         return {
             "state": self.state.name.lower(),
@@ -124,13 +124,13 @@ class SignsStatus:
 
 
 class SignsLog:
-    """Logs the result of the check, and what prevents it; the same state is not logged twice in succession."""
+    """Logs the result of the check of signs, or what prevents the check; logs no state twice in succession."""
 
     def __init__(self) -> None:
         self._last: SignsStatus | None = None
 
     def note(self, status: SignsStatus) -> None:
-        """Log the present state of the check, if it differs from the state that was logged last."""
+        """Log the present state of the check of signs, if it differs from the state that was logged last."""
         line = status.line()
         if status == self._last or (line is None and status.state != SignsState.RIGHT):
             return

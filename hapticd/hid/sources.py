@@ -53,5 +53,5 @@ class _ReplayDriver:
         _, self._plan = verdict_of(hid, descriptor).driver_and_plan()
 
     def set_up(self, device: Device) -> Plan:
-        """Return the plan."""
+        """Return the plan of the recorded device's reports; nothing is sent."""
         return self._plan

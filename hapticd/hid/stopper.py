@@ -28,7 +28,7 @@ from hapticd.system.trusted_files import read_trusted
 
 SYSFS_ROOT: Final = Path("/sys")
 STOP_DEADLINE_S: Final = 3.0
-"""A device must accept all of its reports within this time."""
+"""A device must accept all reports of its record within this time."""
 _RECORD_VERSION: Final = 1
 _MAX_RECORD_BYTES: Final = 1 << 16
 """A larger file cannot be a record."""
@@ -45,7 +45,7 @@ class Identity:
     major: int
     minor: int
     device: dict[str, str]
-    """HID_ID, HID_NAME, HID_PHYS and HID_UNIQ of its uevent."""
+    """The values of HID_ID, HID_NAME, HID_PHYS and HID_UNIQ in the device's uevent."""
 
     def __str__(self) -> str:
         return quoted(self.device.get("HID_NAME", "no name"))
@@ -69,7 +69,7 @@ def identity_of(status: os.stat_result, sysfs: Path = SYSFS_ROOT) -> Identity | 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """The record of one device: its node, its identity, and the reports that stop it."""
+    """The record by which a device can be stopped without its daemon: node, identity, and the reports that stop it."""
 
     path: str
     identity: Identity
@@ -82,7 +82,7 @@ class Record:
 
 
 class StopFile:
-    """The file with the record, in a daemon's runtime directory."""
+    """The file with the reports that stop a daemon's device (`Record`), in the daemon's runtime directory."""
 
     def __init__(self, path: Path, identify: Callable[[int], Identity | None] | None = None) -> None:
         """Use the file at `path`. `identify` returns the identity of an open device, given its file descriptor."""
@@ -90,7 +90,7 @@ class StopFile:
         self._identify = identify or (lambda fd: identity_of(os.fstat(fd)))
 
     def keep(self, path: str, fd: int, zero: Sequence[bytes], stop: Sequence[bytes], pause_s: float) -> None:
-        """Write the record atomically; does nothing if the descriptor does not belong to a hidraw node.
+        """Write the record of a device atomically; does nothing if `fd` does not belong to a hidraw node.
 
         Raises HapticdError; without the record no force may be sent.
         """
@@ -187,7 +187,7 @@ class _DeviceAbsentError(Exception):
 
 
 def _open(record: Record, sysfs: Path) -> int:
-    """Open the node if it is still the same device. Raises _DeviceAbsentError, OSError."""
+    """Open the record's node if it still belongs to the same device. Raises _DeviceAbsentError, OSError."""
     try:
         # Checked before it is opened, because opening alone could affect another device.
         _check_identity(record, identity_of(os.lstat(record.path), sysfs))
@@ -212,7 +212,7 @@ def _check_identity(record: Record, found: Identity | None) -> None:
 
 
 def _lock(fd: int, what: str, until_s: float) -> None:
-    """Lock the device, once the kernel has removed a killed daemon. Raises HapticdError after `until_s`."""
+    """Lock the device, as soon as a killed daemon's lock is gone. Raises HapticdError if it is held after `until_s`."""
     while True:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -224,7 +224,7 @@ def _lock(fd: int, what: str, until_s: float) -> None:
 
 
 def _send(fd: int, record: Record, what: str, until_s: float, write: Callable[[int, bytes], int]) -> list[str]:
-    """Write all reports, and return a text for each report that was refused.
+    """Write all reports of the record, and return a text for each report that the device refused.
 
     Raises HapticdError if the device accepted neither all reports for a force of zero nor all that stop its effects in
     time, _DeviceAbsentError if it is gone. A separate thread writes, because a write may hang in the kernel.

@@ -32,14 +32,14 @@ class Verdict:
     layout: Layout | None
     """The reports and axes of the descriptor; None if the descriptor is not valid."""
     problem: str | None
-    """Why the descriptor is not valid."""
+    """Why the descriptor is not valid; None if it is valid."""
     driver: Driver | None
-    """The driver that sets up the device; None if it cannot be driven."""
+    """The driver that sets up the device; None if the device cannot be driven."""
     plan: Plan | None
-    """The plan, assuming that the device can create all wanted effects and numbers them from the first Effect Block
-    Index on; None if it cannot be driven."""
+    """The plan of fields and reports, assuming that the device can create all wanted effects and numbers them from the
+    first Effect Block Index on; None if it cannot be driven."""
     why_not: str | None
-    """Why it cannot be driven; None if it can."""
+    """Why the device cannot be driven; None if it can be driven."""
 
     @property
     def drivable(self) -> bool:
@@ -47,7 +47,7 @@ class Verdict:
         return self.why_not is None
 
     def driver_and_plan(self) -> tuple[Driver, Plan]:
-        """Return driver and plan. Raises UndrivableError if the device cannot be driven."""
+        """Return the device's driver and the plan of its reports. Raises UndrivableError if it cannot be driven."""
         if self.driver is None or self.plan is None:
             why_not = str(self.why_not)
             # An error of the configuration begins with its key and needs no prefix.
@@ -95,7 +95,7 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
 
 
 def _unused_fields_text(layout: Layout) -> str:
-    """Return a text that lists fields that exist but cannot be used, since one of them may be the cause."""
+    """Return a text that lists fields that exist but cannot be used: they may be why a device cannot be driven."""
     fields = [problem for problem in layout.problems if not problem.startswith(SKIPPED_ITEM_PREFIX)]
     if not fields:
         return ""
@@ -104,7 +104,7 @@ def _unused_fields_text(layout: Layout) -> str:
 
 
 def _checked(plan: Plan) -> Plan:
-    """Return the plan if C accepts it. Raises DeviceError."""
+    """Return the plan if C accepts it; otherwise raise DeviceError."""
     if lib.hd_hid_check(plan.to_c()) != Status.OK:
         raise DeviceError(invalid_reason())
     if not plan.resolution_m < _MAX_POSITION_STEP_M:

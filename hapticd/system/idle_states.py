@@ -15,18 +15,18 @@ LATENCY_DEVICE: Final = "/dev/cpu_dma_latency"
 
 
 class IdleStateLock:
-    """The request for shallow idle states, which can be held and released."""
+    """The request to the kernel for shallow idle states, which a process can hold and release."""
 
     def __init__(self) -> None:
         self._fd: int | None = None
 
     @property
     def held(self) -> bool:
-        """Whether the request is active."""
+        """Whether the request for shallow idle states is active."""
         return self._fd is not None
 
     def hold(self) -> None:
-        """Make the request, if it is not held. Raises OSError if the process lacks the permission."""
+        """Request shallow idle states, unless they are requested. Raises OSError without the permission."""
         if self._fd is None:
             fd = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
             try:
@@ -37,7 +37,7 @@ class IdleStateLock:
             self._fd = fd
 
     def release(self) -> None:
-        """Withdraw the request by closing the file, if it is held."""
+        """Withdraw the request for shallow idle states by closing its file, if it is held."""
         if self._fd is not None:
             os.close(self._fd)
             self._fd = None

@@ -75,7 +75,7 @@ class _LineQueue(QueueHandler):
         self._lost = 0
 
     def enqueue(self, record: logging.LogRecord) -> None:
-        """Put a line into the queue; if the queue is full, the line is lost."""
+        """Put a line into the queue; if the queue is full, the line is lost and counted."""
         try:
             self._waiting.put_nowait(record)
         except Full:
@@ -166,7 +166,7 @@ class EventLog:
         missing: Callable[[], bool] = lambda: False,
         rate_hz: Callable[[], float] | None = None,
     ) -> None:
-        """Create the log of events.
+        """Create the log of the servo's events.
 
         `missing` returns whether requested real-time rights were refused; `rate_hz` returns the servo's present rate.
         """
@@ -175,7 +175,7 @@ class EventLog:
         self._hinted = False
 
     def note(self, event: Mapping[str, object]) -> None:
-        """Log one event, a map as telemetry sends it, now or in a later sum."""
+        """Log one event, a map as telemetry sends it, at once or later in a sum of repeated events."""
         kind = str(event["event"])
         if _log.isEnabledFor(logging.DEBUG):
             members = ", ".join(f"{name} {value}" for name, value in event.items() if name != "event")
@@ -196,11 +196,11 @@ class EventLog:
         self._repeats.flush()
 
     def finish(self) -> None:
-        """Log all remaining sums, at the end."""
+        """Log all remaining sums of repeated events, at the end of the daemon."""
         self._repeats.finish()
 
     def _overrun(self, since: Since) -> None:
-        """Log the missed periods; in a sum, also their share of all periods."""
+        """Log the periods that the servo missed; in a sum over some time, also their share of all periods."""
         missed, times = since.amounts["missed"], since.amounts["count"]
         line = f"{wording.count(missed, 'period')} missed"
         if since.seconds and self._rate_hz is not None:

@@ -22,17 +22,17 @@ _log = logging.getLogger("hapticd")
 
 
 def ready(line: str = "") -> bool:
-    """Report that a start or reload has ended; `line` is the status line that `systemctl status` shows."""
+    """Report to systemd that a start or reload has ended; `line` is the status line that `systemctl status` shows."""
     return _send("READY=1", *_status_assignment(line))
 
 
 def reloading() -> bool:
-    """Report that a reload begins. `ready` must follow, also if the reload changes nothing."""
+    """Report to systemd that a reload begins. `ready` must follow, also if the reload changes nothing."""
     return _send("RELOADING=1", f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}")
 
 
 def stopping() -> bool:
-    """Report that the process begins to end in an orderly way."""
+    """Report to systemd that the process begins to end in an orderly way."""
     return _send("STOPPING=1")
 
 
@@ -42,12 +42,12 @@ def status(line: str) -> bool:
 
 
 def alive() -> bool:
-    """Feed the watchdog. Never blocks: returns False if the socket of the service manager is full."""
+    """Feed systemd's watchdog. Never blocks: returns False if the socket of the service manager is full."""
     return _send("WATCHDOG=1", wait_s=0.0)
 
 
 def watchdog_s() -> float | None:
-    """Return the watchdog's interval in s; None if no watchdog is set, or it is set for another process."""
+    """Return the interval of systemd's watchdog in s; None if it is not set, or is set for another process."""
     text, pid = os.environ.get("WATCHDOG_USEC", ""), os.environ.get("WATCHDOG_PID", "")
     if not text.isdecimal() or int(text) == 0 or (pid and pid != str(os.getpid())):
         return None
@@ -55,13 +55,13 @@ def watchdog_s() -> float | None:
 
 
 class Watch:
-    """Feeds the watchdog while the servo ticks, and updates the status line.
+    """Feeds systemd's watchdog while the servo runs, and updates the status line.
 
-    The thread that the watchdog supervises calls the object often.
+    The thread that the watchdog supervises calls the watch often.
     """
 
     def __init__(self, poll: Callable[[], tuple[int, str]], now: Callable[[], float] = time.monotonic) -> None:
-        """Create a watch. `poll` returns the number of ticks rendered and the status line."""
+        """Create a watch. `poll` returns the number of periods that the servo has rendered, and the status line."""
         self._poll, self._now = poll, now
         interval_s = watchdog_s()
         self._fed = interval_s is not None
@@ -71,7 +71,7 @@ class Watch:
         self._due_s = now() + self._every_s
 
     def __call__(self) -> None:
-        """At each interval, feed the watchdog if the servo has ticked, and send the status line if it has changed."""
+        """At each interval, feed the watchdog if the servo has advanced, and send the status line if it has changed."""
         if not self._on or self._now() < self._due_s:
             return
         self._due_s = self._now() + self._every_s

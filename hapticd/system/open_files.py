@@ -6,7 +6,7 @@ import resource
 from typing import Final
 
 MAX_DESCRIPTORS: Final = 65536
-"""The limit of descriptors (RLIMIT_NOFILE) that the process sets, if its hard limit allows it."""
+"""The limit of file descriptors (RLIMIT_NOFILE) that the process sets, if its hard limit allows it."""
 RESERVED_DESCRIPTORS: Final = 256
 """Descriptors that clients cannot take: for the device, signals, reloads, the flight recorder and the log."""
 MAX_SOCKET_CONNECTIONS: Final = 1024
@@ -16,7 +16,7 @@ _SOCKET_COUNT: Final = 2
 
 
 def raise_descriptor_limit() -> int:
-    """Raise the process's limit to MAX_DESCRIPTORS, as far as it may, and return the connections allowed per socket."""
+    """Raise the limit of descriptors to at most MAX_DESCRIPTORS, and return the connections allowed per socket."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = MAX_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(MAX_DESCRIPTORS, hard)
     if soft == resource.RLIM_INFINITY or soft >= wanted:

@@ -45,17 +45,17 @@ class RuntimePaths:
 
     @property
     def command(self) -> Path:
-        """The command socket (ROUTER). It is bound last: once it exists, the daemon is ready."""
+        """The socket for clients' commands (ROUTER). It is bound last: once it exists, the daemon is ready."""
         return self.directory / "hapticd.command"
 
     @property
     def telemetry(self) -> Path:
-        """The telemetry socket (PUB)."""
+        """The socket on which the daemon publishes telemetry (PUB)."""
         return self.directory / "hapticd.telemetry"
 
     @property
     def lock(self) -> Path:
-        """A file with the daemon's process number. The lock itself, flock(2), is on the directory."""
+        """The file with the daemon's process number. The daemon's lock, flock(2), is on the directory."""
         return self.directory / "hapticd.lock"
 
     @property
@@ -121,7 +121,7 @@ def check_directory(paths: RuntimePaths) -> None:
 
 
 def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
-    """Return the files that a client connects to.
+    """Return the files of the runtime directory of the daemon that a client connects to.
 
     A directory that was given, or that the environment names, is not checked, because a system daemon's directory
     belongs to the daemon's user. Any user could have created the directory below /tmp: raises HapticdError unless it
@@ -168,7 +168,7 @@ class Owned:
         return own
 
     def remove(self, path: Path) -> None:
-        """Remove the file at `path` if this daemon created it."""
+        """Remove the file at `path` if this daemon created that file."""
         if self.is_ours(path):
             path.unlink(missing_ok=True)
 
@@ -180,7 +180,7 @@ class Owned:
             return False
 
     def check(self) -> None:
-        """Log each file that another process removed or replaced, once. Checks at most once a second."""
+        """Log once each of the daemon's files that another process removed or replaced; at most one check a second."""
         if time.monotonic() < self._due_s:
             return
         self._due_s = time.monotonic() + _OWNERSHIP_CHECK_INTERVAL_S
@@ -218,7 +218,7 @@ def owned(paths: RuntimePaths) -> Iterator[Owned]:
 
 
 def _make_directory(paths: RuntimePaths) -> None:
-    """Create the directory and its missing parents with mode 0700, or accept an existing one if `check_directory` does.
+    """Create the runtime directory with mode 0700, and its parents, or accept one that `check_directory` accepts.
 
     An existing directory keeps its mode if that is 0750 or 0700, as systemd or an administrator set it; otherwise it
     gets 0700.

@@ -45,7 +45,7 @@ class Since:
 
     @property
     def window(self) -> str:
-        """The time as text, `in the last 64 s`; empty for a line that is logged at once."""
+        """The time since the previous line as text, `in the last 64 s`; empty for a line that is logged at once."""
         return f"in the last {wording.duration(round(self.seconds) or self.seconds)}" if self.seconds else ""
 
     @property
@@ -61,7 +61,7 @@ class Since:
 
 @dataclass(slots=True)
 class _Kind:
-    """State of one kind of line: when it was logged, and the sum since then."""
+    """State of one kind of line: when a line of this kind was last logged, and the sum of lines since then."""
 
     logged_s: float
     interval_s: float
@@ -86,7 +86,7 @@ class Repeats:
         self._kinds: dict[str, _Kind] = {}
 
     def line(self, kind: str, level: int, text: str, longest_s: float = MAX_REPEAT_INTERVAL_S) -> None:
-        """Log `text` now, or later with the number of lines of this kind until then, unless a newer one replaces it."""
+        """Log `text` now, or later with the number of lines of this kind until then, unless newer text replaces it."""
         self.note(kind, lambda since: _log.log(level, "%s%s", text, since.more), longest_s=longest_s)
 
     def note(
@@ -113,7 +113,7 @@ class Repeats:
                 self._log(known, now_s, at_once=known.times == 1)
 
     def flush(self) -> None:
-        """Log the sums that are due, and forget kinds without a line for FORGET_AFTER_S."""
+        """Log the sums of repeated lines that are due, and forget kinds without a line for FORGET_AFTER_S."""
         with self._lock:
             now_s = self._now_s()
             for kind, known in list(self._kinds.items()):
@@ -123,7 +123,7 @@ class Repeats:
                     self._log(known, now_s)
 
     def finish(self) -> None:
-        """Log all remaining sums, at the end."""
+        """Log all remaining sums of repeated lines, at the end of the process."""
         with self._lock:
             now_s = self._now_s()
             for known in self._kinds.values():

@@ -46,7 +46,7 @@ class Installation:
         return Installation(path, tuple(sorted(outer)))
 
     def adapted(self, unit: str) -> str:
-        """Return a unit's text with this executable, and with read-only mounts of the folders that it would hide."""
+        """Return a unit file's text with this executable, and with read-only mounts of folders that the unit hides."""
         unit = unit.replace(f"={_UNIT_EXECUTABLE} ", f"={unit_word(self.executable)} ")
         hidden = [one for one in self.folders if any(one.is_relative_to(place) for place in _HIDDEN_FOLDERS)]
         if not hidden:
@@ -56,7 +56,7 @@ class Installation:
 
 
 def run(action: Action, installation: Installation, root: Path | None = None, dry_run: bool = False) -> list[str]:
-    """Run install.sh and return the commands that it ran, or with `dry_run` would run.
+    """Run install.sh, which installs the units, and return the commands that it ran, or with `dry_run` would run.
 
     `root` is the root folder of another system. Raises HapticdError with the output of a command that failed.
     """

@@ -40,12 +40,12 @@ class Field:
     physical_min: int
     physical_max: int
     unit: int
-    """Data of the Unit item: nibbles of system, length, mass, time, ..."""
+    """Data of the Unit item: a nibble for the system of units, then exponents of length, mass, time, ..."""
     unit_exponent: int
 
     @property
     def is_signed(self) -> bool:
-        """Whether the field holds a two's complement number."""
+        """Whether the field of the report holds a signed number, in two's complement."""
         return self.logical_min < 0
 
     def counts_when_on(self) -> int | None:
@@ -71,16 +71,16 @@ class Field:
     def counts_per_turn(self) -> float:
         """Return the counts of a full turn, for a field that holds a direction.
 
-        They follow from the unit (degrees 0x14, radians 0x12), if the physical range in this unit is within 10 % of one
-        turn. Otherwise the range counts as one turn, as in Linux: many descriptors reset the unit before the field.
+        The counts follow from the unit (degrees 0x14, radians 0x12), if the physical range in this unit is within 10 %
+        of one turn. Otherwise the range is one turn, as in Linux: many descriptors reset the unit before the field.
         """
         return (self.logical_max - self.logical_min) / (self._turns() or 1.0)
 
     def counts_at_north(self) -> float:
         """Return the count for an angle of zero, for a field that holds a direction.
 
-        If the physical range is within 10 % of one turn in its unit, or of 360 times a power of ten, it is the count
-        whose physical value is zero. Otherwise it is the count of the range that is nearest to zero.
+        If the physical range is within 10 % of one turn in its unit, or of 360 times a power of ten, the result is the
+        count whose physical value is zero, otherwise the count of the range that is nearest to zero.
         """
         span = self.physical_max - self.physical_min
         is_turn = self._turns() is not None or any(0.9 <= span / (360.0 * 10**tens) <= 1.1 for tens in range(5))
@@ -89,7 +89,7 @@ class Field:
         return min(max(0, self.logical_min), self.logical_max)
 
     def _turns(self) -> float | None:
-        """Return the physical range in turns; None if its unit is not an angle or it is not near one turn."""
+        """Return the field's physical range in turns; None if it is not near one turn, or its unit is not an angle."""
         per_turn = {0x14: 360.0, 0x12: 2 * math.pi}.get(self.unit)
         if per_turn is None or not -12 <= self.unit_exponent <= 7:
             return None
@@ -99,7 +99,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One entry of a choice, selected by writing `value` into `field`."""
+    """One entry of a choice (for example one command of Device Control): writing `value` into `field` selects it."""
 
     field: Field
     value: int
@@ -146,9 +146,9 @@ def angle_fault(field: Field) -> str | None:
 
 
 def duration_fault(field: Field, step_s: float, duration_s: float, wanted_s: float) -> str | None:
-    """Return why an effect cannot have `duration_s`, the nearest duration to the wanted one; None if it can.
+    """Return why an effect cannot have `duration_s`, the nearest duration to `wanted_s`; None if it can.
 
-    `step_s` is the time of one count.
+    `field` holds the duration; `step_s` is the time of one of its counts.
     """
     range_s = f"Set Effect: Duration goes from {field.logical_min} to {field.logical_max} in counts of {step_s:g} s"
     if duration_s < MIN_EFFECT_DURATION_S:

@@ -68,14 +68,14 @@ LOAD_STATUS_USAGES: Final = {"success": 0x8C, "full": 0x8D, "error": 0x8E}
 # ---- How a field is found --------------------------------------------------------------------------------------------
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
-"""The longest report that is used, in bytes with its id."""
+"""Longest report that hapticd uses, in bytes, including the report id."""
 MAX_FIELD_BITS: Final = 32
-"""The widest field that is used."""
+"""Widest field that hapticd uses, in bits."""
 
 
 @dataclass(slots=True)
 class Group:
-    """The fields of one report in one collection."""
+    """The fields of one report in one collection of the descriptor, and the problems found with them."""
 
     fields: list[ReportField]
     report_id: int
@@ -105,7 +105,7 @@ class Group:
         return None
 
     def accept(self, field: Field, name: str, fault: str | None) -> bool:
-        """Return whether `fault` is None; if it is not, note it as a problem of the field."""
+        """Return whether `fault` is None; otherwise note the text `fault` as a problem of the field `name`."""
         if fault is not None:
             kind = self.fields[0].kind
             self.problems.append(f"{kind} report {field.report_id}, bit {field.bit_offset} ({name}): {fault}")
@@ -138,7 +138,7 @@ class Group:
         return Field(field.report_id, offset, size, low, high, *physical, field.unit, field.unit_exponent)
 
     def choice(self, names: Mapping[str, int]) -> Choice | None:
-        """Return the choice among named usages: from the first array that has one of them, or else from flags."""
+        """Return the choice among named usages: from the first array field that has one of them, else from flags."""
         for field in self.fields:
             if field.is_variable or _is_fixed(field):
                 continue
@@ -166,14 +166,14 @@ class Group:
 def _is_fixed(field: ReportField) -> bool:
     """Return whether a field is constant in an output report.
 
-    In input and feature reports the flag means that only the device sets the field.
+    In input and feature reports the flag Constant means that only the device sets the field.
     """
     return field.is_constant and field.kind == ReportKind.OUTPUT
 
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """Rule for a number: the first usable field that has the usage. A usage without a page is on the PID page."""
+    """Rule that finds a number: the first usable field with this usage. A usage without a page is on the PID page."""
 
     name: str
     usage: int
@@ -183,7 +183,7 @@ class Number:
     """An additional check of the range, which returns what is wrong with it."""
 
     def find(self, group: Group) -> Field | None:
-        """Return the field; None if the group has no usable one."""
+        """Return the field of the number; None if the group has no usable field with this usage."""
         found = group.number(self.usage, self.scaled)
         if found is None or self.fault is None or group.accept(found, self.name, self.fault(found)):
             return found
@@ -196,7 +196,7 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """Rule for a choice among usages."""
+    """Rule that finds a choice among usages, for example among the commands of Device Control."""
 
     name: str
     usages: Mapping[str, int]
@@ -204,11 +204,11 @@ class OneOf:
     """Required entries, each with its name in the specification."""
 
     def find(self, group: Group) -> Choice | None:
-        """Return the choice; None if the group has none of the usages."""
+        """Return the choice; None if the fields of the group have none of its usages."""
         return group.choice(self.usages)
 
     def lacking(self, found: object) -> list[str]:
-        """Return the names of the required entries that `found` lacks; if it is None, the name of the choice."""
+        """Return the names of required entries that the choice `found` lacks; if there is none, the choice's name."""
         if found is None and self.name:
             return [self.name]
         return [name for entry, name in self.needed if not isinstance(found, Choice) or entry not in found.entries]
@@ -216,7 +216,7 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """Rule for a value that a function finds; the value may be empty."""
+    """Rule that finds a member of a report by calling a function; the result may be empty."""
 
     find: Callable[[Group], object]
 
@@ -231,7 +231,7 @@ FieldRule: TypeAlias = Number | OneOf | Computed
 # ---- The report descriptor -------------------------------------------------------------------------------------------
 
 SKIPPED_ITEM_PREFIX: Final = "report descriptor, "
-"""Prefix of a problem that concerns a skipped item, not a field."""
+"""Prefix of a problem that concerns a skipped item of the descriptor, not a field of a report."""
 
 _SIMULATION_PAGE: Final = 0x0002
 """The usage page Simulation Controls."""
@@ -257,7 +257,7 @@ def _axes_enable(group: Group) -> dict[str, Field]:
 
 
 def _directions(group: Group) -> Iterator[tuple[list[Field], bool]]:
-    """Yield the fields that may hold the direction, and whether these are components of a vector."""
+    """Yield each set of fields that may hold an effect's direction, and whether the set is a vector's components."""
     for field in group.fields:
         # Its elements may have any usage: axes, or instances of the page Ordinals.
         inside = field.within(PID_PAGE | 0x57) or field.index_of(PID_PAGE | 0x57) is not None
@@ -295,7 +295,7 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A report whose required fields were all found."""
+    """A report of the PID class, all of whose required fields were found in the descriptor."""
 
     report_id: int
     report_bytes: int
@@ -425,7 +425,7 @@ class SetEnvelope(Report):
 
 @dataclass(frozen=True, slots=True)
 class _ReportRule:
-    """Rule for a report: its class, its kind, and the usages (PID page) that its collection may have."""
+    """Rule that finds a report: its class, its kind, and the usages (PID page) that its collection may have."""
 
     name: str
     kind: ReportKind
@@ -478,7 +478,7 @@ class Layout:
 
     @property
     def usable(self) -> bool:
-        """Whether nothing is missing for a constant force."""
+        """Whether the descriptor has every report that a constant force needs."""
         return not self.missing
 
     def to_dict(self) -> dict[str, object]:
@@ -487,7 +487,7 @@ class Layout:
 
 
 def layout_of(descriptor: Descriptor) -> Layout:
-    """Find the reports and axes of a descriptor. Missing reports are listed in `missing`; no error is raised."""
+    """Find the reports and axes of a descriptor. `Layout.missing` lists missing reports; no error is raised."""
     return _LayoutFinder(descriptor).layout()
 
 
@@ -496,7 +496,7 @@ def layout_of(descriptor: Descriptor) -> Layout:
 
 @cache
 def _field_rules(report: Callable[..., Report]) -> tuple[dict[str, FieldRule], dict[str, FieldRule]]:
-    """Return two maps from the names of a report's fields to their rules: required and optional fields."""
+    """Return two maps from the names of a report's fields to the rules that find them: required and optional fields."""
     needed: dict[str, FieldRule] = {}
     others: dict[str, FieldRule] = {}
     for name, hint in get_type_hints(report, include_extras=True).items():
@@ -507,7 +507,7 @@ def _field_rules(report: Callable[..., Report]) -> tuple[dict[str, FieldRule], d
 
 
 def _find_report(group: Group, rule: _ReportRule) -> tuple[Report | None, list[str]]:
-    """Return the report; if a required field is missing, None and the names of the missing fields."""
+    """Return the report that a rule finds in a group, or None, and the names of missing required fields."""
     needed, others = _field_rules(rule.report)
     found: dict[str, Any] = {}
     # Numbers before choices, because problems are listed in this order.
@@ -556,7 +556,7 @@ class _LayoutFinder:
         return Layout(missing=missing, problems=problems, input=axes, effect_indices=indices, **found)
 
     def _report(self, rule: _ReportRule) -> Report | None:
-        """Return the first complete report. Without one, if it is required, note which fields are missing."""
+        """Return the first complete report that a rule finds. Without one, if it is required, note what is missing."""
         lacking: list[str] = []
         for group in self._groups(rule):
             found, absent = _find_report(group, rule)
@@ -580,7 +580,7 @@ class _LayoutFinder:
         return sorted(groups.values(), key=lambda group: group.root != self._root)
 
     def _put(self, groups: dict[tuple[int, int], Group], key: tuple[int, int], field: ReportField) -> None:
-        """Add the field to its group; note a problem if only other reports have an id."""
+        """Add a field to the group `key`; note a problem if its report has no id although other reports have one."""
         if field.report_id == 0 and self._descriptor.numbered(field.kind):
             self._problems.append(
                 f"{field.kind} report without an id, bit {field.bit_offset}: other {field.kind} reports have an id"

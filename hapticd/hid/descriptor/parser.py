@@ -36,7 +36,7 @@ MAX_DESCRIPTOR_BYTES: Final = 4096
 MAX_REPORT_BYTES: Final = 16384
 """The longest report that Linux accepts."""
 MAX_NESTING_DEPTH: Final = 64
-"""Largest depth of nested collections, and of the stack of Push."""
+"""Largest depth of nested collections, and of the stack of global items that Push fills."""
 
 APPLICATION_COLLECTION: Final = 1
 """The type of an application collection: a device such as a joystick or a keyboard."""
@@ -55,7 +55,7 @@ class DescriptorError(HapticdError):
 
 
 class ReportKind(enum.StrEnum):
-    """The kind of a report: input (from the device), output (to it) or feature (requested or set)."""
+    """The kind of a report: input (from the device), output (to the device) or feature (read or set on request)."""
 
     INPUT = "input"
     OUTPUT = "output"
@@ -64,7 +64,7 @@ class ReportKind(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """A collection. `number` is unique: it counts the collections of a descriptor in the order in which they open."""
+    """A collection of a descriptor. `number` is its place in the order in which the collections open."""
 
     number: int
     usage: int
@@ -123,7 +123,7 @@ class ReportField:
 
     @property
     def is_relative(self) -> bool:
-        """Whether the values are changes, not absolute."""
+        """Whether the values of the field are changes, not absolute values."""
         return bool(self.flags & IS_RELATIVE)
 
     def usage_at(self, index: int) -> int | None:
@@ -175,7 +175,7 @@ class Descriptor:
 
 @dataclass(slots=True)
 class _ItemData:
-    """The data of an item; whether they are signed is decided at the main item that uses them."""
+    """The data bytes of an item. Whether they are a signed number is decided at the main item that uses them."""
 
     raw: int = 0
     size: int = 0
@@ -192,7 +192,7 @@ class _Globals:
     """Data by the names of the global items; the default is 0."""
     usage_page: int = 0
     physical_of: tuple[int, int] | None = None
-    """Logical range of the first field after the physical range was declared; None before that field."""
+    """Logical range of the first field that followed the declaration of the physical range; None before that field."""
 
     def number(self, name: str) -> _ItemData:
         return self.numbers.get(name, _ItemData())
@@ -205,7 +205,7 @@ class _Globals:
 
 @dataclass(slots=True)
 class _Usage:
-    """A usage or a range of usages. If the item itself includes the page, `page` is None."""
+    """A usage or a range of usages. `page` is the usage page at its item; None if the item itself includes the page."""
 
     first: int
     last: int
@@ -320,7 +320,7 @@ class _Parser:
         return bool(self._collections) and not self._path
 
     def take(self, at: int, name: str, number: _ItemData) -> None:
-        """Process one item."""
+        """Process one item of the descriptor: the item at byte `at`, with its name and its data."""
         state, value = self._global, number.raw
         if name in _MAIN_ITEMS.values():
             self._end_locals(at)
@@ -375,7 +375,7 @@ class _Parser:
         self._skipped.append(f"byte {at} ({name}): {what}")
 
     def finish(self, end: int) -> Descriptor:
-        """Return the descriptor. Raises DescriptorError if a collection is open or none was declared."""
+        """Return the parsed descriptor. Raises DescriptorError if a collection is still open or none was declared."""
         if self._path:
             raise DescriptorError(f"report descriptor: a collection is still open at its end (byte {end})")
         if not self._collections:

@@ -57,11 +57,11 @@ _repeats = Repeats()
 
 
 class _FullError(DeviceError):
-    """The device has no room for another effect."""
+    """Error of a device that has no room for another effect."""
 
 
 class _RefusedError(DeviceError):
-    """The device refuses to create an effect."""
+    """Error of a device that refuses to create an effect."""
 
 
 class PidDriver:
@@ -110,7 +110,7 @@ class PidDriver:
     def _effects_in_pool(self, device: Device) -> int | None:
         """Return how many effects the device plays at a time; None if this is not known, or if hapticd needs only one.
 
-        Must be called before the first effect is created.
+        The pool must be read before the first effect is created.
         """
         pool = None if "no_pid_pool" in self._hid.quirks else self._layout.pool
         several = len(effects_of(self._schemes[0], self._hid)) > 1
@@ -146,7 +146,7 @@ class PidDriver:
             return replace(self._create_constant_forces(device, scheme), no_periodic=str(error))
 
     def _create_constant_forces(self, device: Device, scheme: Scheme) -> Plan:
-        """Create and start the constant forces, and return their plan."""
+        """Create and start the constant-force effects of a scheme, and return the plan of their reports."""
         layout, indices = self._layout, list[int]()
         try:
             for effect in effects_of(scheme, self._hid):
@@ -231,7 +231,7 @@ def _send(device: Device, report: bytes | None) -> None:
 
 
 def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:
-    """Return "success", "full" or "error"; None if the device has not finished."""
+    """Return the status in PID Block Load: "success", "full" or "error"; None if the device has not finished."""
     if load.status is None:
         return "success" if _number_in(answer, load.effect_index, "PID Block Load", device) else "full"
     for name, entry in load.status.entries.items():

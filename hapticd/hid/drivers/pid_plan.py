@@ -69,7 +69,7 @@ direction. On a device with one axis: "one", one effect, or "sides", one for eac
 
 
 def schemes_of(layout: Layout, hid: Hid) -> tuple[Scheme, ...]:
-    """Return the schemes in which a force can be exerted, the best first. Raises DeviceError without one."""
+    """Return the schemes in which the device can exert a force, the best first. Raises DeviceError if there is none."""
     effect, force = layout.set_effect, layout.constant_force
     assert effect is not None and force is not None
     shared = shared_report_problem(layout)
@@ -107,7 +107,7 @@ def schemes_of(layout: Layout, hid: Hid) -> tuple[Scheme, ...]:
 
 
 def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
-    """Return the position fields of the handle's axes. Raises DeviceError if the device lacks a configured axis."""
+    """Return the position fields of the handle's axes x and y. Raises DeviceError if the device lacks one of them."""
     x = _axis(layout, hid.axes.x, "x", hid)
     if has_one_axis(layout, hid) and hid.axes.y.usage.lower() not in layout.input:
         return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_AXIS_M_PER_COUNT)
@@ -147,7 +147,7 @@ def effects_of(scheme: Scheme, hid: Hid) -> tuple[Effect, ...]:
 
 
 def plan_of(layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int]) -> Plan:
-    """Return the plan for effects with these Effect Block Indices."""
+    """Return the plan for the effects of a scheme, which the device created under these Effect Block Indices."""
     x, y = axes_of(layout, hid)
     effects = effects_of(scheme, hid)
     # The direction is sent before the magnitude, so that a new magnitude never acts along the old direction.
@@ -178,7 +178,7 @@ def plan_of(layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int]) ->
 
 
 def _force_factors(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
-    """Return for each effect two factors of its magnitude: of the force along its axis, and along the other axis."""
+    """Return the two factors by which each effect's magnitude follows from the force along its and the other axis."""
     set_effect = layout.set_effect
     assert set_effect is not None
     angle = angle_of(set_effect)
@@ -260,7 +260,7 @@ def _playing_bits(layout: Layout, indices: Sequence[int], proof: int) -> Playing
 
 
 def periodic_problem(layout: Layout, hid: Hid) -> str | None:
-    """Return why periodic effects are not used; None if they are configured and the descriptor has what they need."""
+    """Return why periodic effects are not used; None if they are configured and the descriptor has their reports."""
     effect, create = layout.set_effect, layout.create_new_effect
     assert effect is not None and create is not None
     if hid.offload == "off":
@@ -290,7 +290,7 @@ def periodic_problem(layout: Layout, hid: Hid) -> str | None:
 
 
 def periodic_of(layout: Layout, hid: Hid, indices: Sequence[int]) -> Periodic:
-    """Return the periodic effects with these Effect Block Indices; `periodic_problem` must have returned None."""
+    """Return the reports of the periodic effects with these indices; `periodic_problem` must have returned None."""
     effect, periodic, envelope = layout.set_effect, layout.set_periodic, layout.set_envelope
     assert effect is not None and periodic is not None and envelope is not None
     numbers = Numbers(

@@ -13,14 +13,14 @@ from hapticd.hid.descriptor.layout import Layout, Report, SetEffect, SetEnvelope
 from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
 
 _MIN_DIRECTION_SINE: Final = 0.5
-"""Smallest sine of the angle between the two directions for which `force_factors` corrects their rounding."""
+"""Smallest sine of the angle between the two effects' directions at which `force_factors` corrects their rounding."""
 
 
 # ---- Directions ------------------------------------------------------------------------------------------------------
 
 
 def angle_of(effect: SetEffect) -> Field | None:
-    """Return the field for the angle of the direction; None if there is no direction, or it is a vector."""
+    """Return the field for the angle of an effect's direction; None if the report has no direction, or a vector."""
     return None if effect.is_direction_cartesian or not effect.direction else effect.direction[0]
 
 
@@ -49,7 +49,7 @@ def enabled_for(effect: SetEffect, axes: HandleAxes, axis: Literal["x", "y"]) ->
 
 
 def counts_of(angle: Field, turns: float) -> float:
-    """Return the counts of a direction, from the field's minimum to less than one turn above it."""
+    """Return the counts of a direction given in turns, from the field's minimum to less than one turn above it."""
     per_turn = angle.counts_per_turn()
     if per_turn <= 0.0:
         return angle.logical_min
@@ -57,7 +57,7 @@ def counts_of(angle: Field, turns: float) -> float:
 
 
 def direction_transform(axes: ForceAxes) -> tuple[int, float]:
-    """Return slope and offset: for a force of direction d, in turns, the device needs the direction slope * d + offset.
+    """Return slope and offset: a force of direction d, in turns, is sent with the direction slope * d + offset.
 
     A direction is an angle from +y towards +x. A negative sign of x maps d to -d, a negative sign of y maps d to
     1/2 - d, and swapped axes map d to 1/4 - d. The swap is applied first.
@@ -71,7 +71,7 @@ def direction_transform(axes: ForceAxes) -> tuple[int, float]:
 
 
 def force_factors(angle: Field, x_turns: float, y_turns: float) -> list[tuple[float, float]]:
-    """Return two factors for the effect of x, then for that of y, with which both effects add up to the wanted force.
+    """Return two factors for the effect along x, then two for that along y, so that the effects add up to the force.
 
     The magnitude of an effect is the first factor times the force along its axis, plus the second factor times the
     force along the other axis. The factors correct the rounding of the directions `x_turns` and `y_turns`: with 255
@@ -106,7 +106,7 @@ def _push_vector(angle: Field, turns: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A constant force: its axis, the direction it comes from in turns, and the quantity that is its magnitude."""
+    """A constant-force effect: its axis, the direction it pushes from in turns, and what determines its magnitude."""
 
     axis: Literal["x", "y"]
     from_turns: float
@@ -282,7 +282,7 @@ def constant_force_report(
 
 
 def polar_effect_report(layout: Layout, hid: Hid, index: int, kind: str = "constant_force") -> Message:
-    """Return the report Set Effect of this kind, into which the direction of each force is written."""
+    """Return the report Set Effect for an effect of this kind, into which the direction of each force is written."""
     assert layout.set_effect is not None
     field = angle_of(layout.set_effect)
     assert field is not None
@@ -335,14 +335,14 @@ def shared_report_problem(layout: Layout, *, with_periodic: bool = False) -> str
 
 
 def time_scale(field: Field) -> Scale:
-    """Return the scale of a time in s. Without a unit in the descriptor, a count is 1 ms, as in the specification."""
+    """Return the scale of a field for times in s. Without a unit, a count is 1 ms, as in the specification."""
     step_s = field.seconds_per_count()
     zero = 0.0 if step_s is None else field.logical_min - field.physical_min * 10.0**field.unit_exponent / step_s
     return Scale(bits_of(field), 1.0 / (step_s or 1e-3), zero, field.logical_min, field.logical_max)
 
 
 def level_scale(field: Field, hid: Hid) -> Scale:
-    """Return the scale of a level in N; the largest count is the full force."""
+    """Return the scale of a field for levels in N, whose largest count is the device's full force."""
     zero = min(max(0, field.logical_min), field.logical_max)
     return Scale(
         bits_of(field), (field.logical_max - zero) / hid.full_scale_force_n, zero, field.logical_min, field.logical_max
@@ -350,5 +350,5 @@ def level_scale(field: Field, hid: Hid) -> Scale:
 
 
 def bits_of(field: Field) -> Bits:
-    """Return offset, size and sign of a field."""
+    """Return where a field is in its report: its offset, its size, and whether it is signed."""
     return Bits(field.bit_offset, field.bit_size, field.is_signed)

@@ -10,7 +10,7 @@ from hapticd.hid.plan import STILL_AXIS_M_PER_COUNT, AxisPlan, Bits, DeviceError
 
 
 class VendorDriver:
-    """Sends the configured reports that enable the device, and makes its plan."""
+    """Driver that sends the configured reports that enable a device, and makes the plan of its reports."""
 
     def __init__(self, hid: Hid, descriptor: bytes) -> None:
         """Create a driver, and compare the configuration with the device's report descriptor.
