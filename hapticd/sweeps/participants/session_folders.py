@@ -86,7 +86,7 @@ class SessionFolders:
         write_session_tables(folder, synced=False)
 
     def _sync(self, fresh: list[str]) -> None:
-        """Sync the disk, then move the identities in `fresh` to WRITTEN_FILE."""
+        """Sync the disk, then move the identities of participants from `fresh` to WRITTEN_FILE."""
         if not fresh:
             return
         os.sync()
