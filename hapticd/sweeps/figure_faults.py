@@ -83,7 +83,7 @@ class _Figure:
         return self._columns[name].unit or "no unit"
 
     def _measured_faults(self, key: str, names: Sequence[str], text_allowed: bool) -> list[tuple[Path, str]]:
-        """Return a fault for each of the columns `names` that is not measured or cannot be drawn, or if units differ."""
+        """Return faults of the columns `names`: not measured, not drawable, or with different units."""
         measured = [name for name, column in self._columns.items() if column.role == "measured"]
         for name in names:
             if name not in measured:

@@ -60,7 +60,7 @@ def raise_interrupt(number: int) -> None:
 
 @contextmanager
 def sigterm_ends() -> Iterator[None]:
-    """Make SIGTERM raise SystemExit(143), the code that shells use for SIGTERM, so that cleanup runs as after Ctrl-C."""
+    """Make SIGTERM raise SystemExit(143), the exit code that shells expect, so that cleanup runs as after Ctrl-C."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise_interrupt(number)

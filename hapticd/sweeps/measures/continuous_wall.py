@@ -151,7 +151,7 @@ class ContinuousWall:
         return float(later[0]) if len(later) else math.inf
 
     def _reference(self, now_s: float) -> Polynomial:
-        """Return the height of the hand's reference, up to the next waypoint, as a polynomial in the time since `now_s`."""
+        """Return the height of the hand's reference until the next waypoint: a polynomial in the time since `now_s`."""
         waypoints = self._waypoints
         index = int(np.searchsorted(waypoints[:, 0], now_s, side="right")) - 1
         if index < 0 or index + 1 >= len(waypoints):

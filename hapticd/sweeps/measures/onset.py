@@ -46,7 +46,7 @@ class OnsetError:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Return the errors of the times of all touches of the run, or None without a touch.
+        """Return the error of largest magnitude of the run's touches (None without a touch), and their number.
 
         Raises HapticdError if an object was touched although the probe never crosses its surface.
         """

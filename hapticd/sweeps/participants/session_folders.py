@@ -61,7 +61,7 @@ class SessionFolders:
         )
 
     def write(self, rows: Iterable[Row]) -> int:
-        """Write the missing session folders of rows that have no error; return their number. Raises HapticdError."""
+        """Write missing session folders of rows without an error; return the number of folders. Raises HapticdError."""
         fresh: list[str] = []
         count = 0
         for row in rows:
