@@ -102,7 +102,7 @@ def _verdict(item: Found) -> str:
 
 
 def _selected(device: str | None, found: Sequence[Found], what: str) -> Found:
-    """Return the device in `found` with this path or VENDOR:PRODUCT, by default the only one; errors name it `what`."""
+    """Return the device with this path or VENDOR:PRODUCT, or the only device in `found`, which errors call `what`."""
     matching = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
     if len(matching) == 1:
         return matching[0]

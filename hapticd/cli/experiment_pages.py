@@ -81,7 +81,7 @@ def run_on_pages(
     lsl: bool,
     session: Callable[[Stage, PagesFront], int],
 ) -> int:
-    """Serve the pages of participant and experimenter while `session` runs on a daemon; return its exit code.
+    """Serve the pages of participant and experimenter while `session` runs; return the session's exit code.
 
     `place` has the daemon's paths; `simulated` says whether the daemon has the simulated joystick.
     """

@@ -187,7 +187,7 @@ class _Engine:
         return found
 
     def check_versions(self) -> None:
-        """Exclude workers with another code version of hapticd. Their first task checks workers that join later."""
+        """Exclude workers with another code version of hapticd. Workers that join later check theirs in a task."""
         for address, answer in self.client.run(code_version, on_error="return").items():
             if isinstance(answer, OSError):
                 continue  # the worker has ended

@@ -94,7 +94,7 @@ class FolderYaml:
 
 
 def merged(folders: Iterable[BatchFolder]) -> BatchFolder:
-    """Return the options that hold in the last of `folders`, each of which contains the next one."""
+    """Return the fit options that hold in the last of `folders`, each of which contains the next folder."""
     found: dict[str, object] = {}
     for folder in folders:
         found |= {key_of(field): getattr(folder, field) for field in folder.model_fields_set}

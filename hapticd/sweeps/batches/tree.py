@@ -81,7 +81,7 @@ class Tree:
 
 
 def read_tree(path: str) -> Tree:
-    """Read the tree at `path`. Raises HapticdError for other files, InvalidError with all faults of the tree."""
+    """Read the tree at `path`. Raises HapticdError without a folder, InvalidError with all faults of the tree."""
     if not os.path.isdir(path):
         why = "not a folder" if os.path.exists(path) else "no such folder"
         raise HapticdError(f"{printable(path)}: {why}; a batch needs a folder with a folder for each material")
