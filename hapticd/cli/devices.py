@@ -102,7 +102,10 @@ def _verdict(item: Found) -> str:
 
 
 def _selected(device: str | None, found: Sequence[Found], what: str) -> Found:
-    """Return the device with this path or VENDOR:PRODUCT, or the only device in `found`, which errors call `what`."""
+    """Return the device with this path or VENDOR:PRODUCT, or the only device in `found`.
+
+    `what` is the predicate of the devices in errors, such as "can be driven".
+    """
     matching = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
     if len(matching) == 1:
         return matching[0]
