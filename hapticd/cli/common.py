@@ -33,7 +33,7 @@ class Finite(click.FloatRange):
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number; fail if it is not finite or out of range."""
+        """Return the number that `value` contains; fail if the number is not finite or out of range."""
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number", param, ctx)
@@ -59,7 +59,7 @@ overwrite_option = click.option("--overwrite", is_flag=True, help="Replace exist
 
 
 def options(*decorators: Callable[[Any], Any]) -> Callable[[_F], _F]:
-    """Combine several options into one decorator; `--help` lists them in the order of the arguments."""
+    """Combine several options into one decorator; `--help` lists the options in the order of the arguments."""
 
     def decorated(command: _F) -> _F:
         for decorator in reversed(decorators):
@@ -100,7 +100,7 @@ def results_option(default: str) -> Callable[[_F], _F]:
 
 
 def for_option(shown: str, default: str | None = None) -> Callable[[_F], _F]:
-    """Return the option `--for`: a duration, as the parameter `duration_s`. `shown` is the default in `--help`."""
+    """Return the option `--for`: a duration, as the parameter `duration_s`. `--help` shows the default as `shown`."""
     help = f"Duration, as 5s, 500ms or 2min [default: {shown}]."
     return click.option("--for", "duration_s", type=duration, metavar="TIME", default=default, help=help)
 
@@ -149,7 +149,7 @@ def runtime_dir() -> str | None:
 
 
 def daemon(timeout_s: float | None = None) -> Client:
-    """Return a client of the daemon at `--runtime-dir`. Raises DaemonNotRunning if none runs there."""
+    """Return a client of the daemon at `--runtime-dir`. Raises DaemonNotRunning if no daemon runs there."""
     from hapticd.client.blocking import connect
     from hapticd.protocol.calls import REPLY_TIMEOUT_S
 
@@ -163,13 +163,13 @@ class Stop(threading.Event):
     """SIGINT or SIGTERM, whichever came first; None if neither did."""
 
     def exit_code(self, duration_s: float | None) -> int:
-        """Return 0 if the duration is over or was not limited, otherwise 128 + signal."""
+        """Return 128 + `signal` if a signal ended the command before its duration was over, otherwise 0."""
         return 0 if self.signal is None or duration_s is None else 128 + self.signal
 
 
 @contextmanager
 def stopped_by_signals() -> Iterator[Stop]:
-    """Yield a Stop that Ctrl-C and SIGTERM set, instead of interrupting the command."""
+    """Yield a Stop, an event that Ctrl-C and SIGTERM set instead of interrupting the command."""
     stop = Stop()
 
     def end(number: int, frame: object) -> None:
@@ -188,7 +188,7 @@ def stopped_by_signals() -> Iterator[Stop]:
 
 
 def print_json(value: object) -> None:
-    """Print one line of JSON."""
+    """Print a value as one line of JSON."""
     click.echo(json.dumps(value, ensure_ascii=False))
 
 
@@ -205,7 +205,7 @@ def note(text: str) -> None:
 
 
 def print_result(result: object, as_json: bool, text: str) -> None:
-    """Print the result as JSON with its warnings, or else `text`, and the warnings to stderr."""
+    """Print a command's result as JSON with its warnings; without --json print `text`, and the warnings to stderr."""
     if as_json:
         print_json(result)
         return
@@ -270,7 +270,7 @@ def print_table(
 
 @contextmanager
 def status_line() -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows a status line on a terminal. An empty text and the end of the block erase it."""
+    """Yield a function that shows a text as status line on a terminal. An empty text or the context's end erase it."""
     try:
         yield _show
     finally:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from hapticd.client.blocking import Client
 
 RELOAD_TIMEOUT_S = 60.0
-"""Longest wait for the answer to a reload, in s. The daemon itself waits at most 10 s for its files."""
+"""Longest wait for the answer to a reload, in s. The daemon itself waits at most 10 s for its configuration files."""
 
 _change_options = options(
     click.option("--wait", is_flag=True, help="Wait until the change is in force; print its tick."),
@@ -79,7 +79,7 @@ def status_command(as_json: bool) -> None:
 
 
 def _change(as_json: bool, send: Callable[[Client], Mapping[str, object]], timeout_s: float | None = None) -> None:
-    """Send a change of scene or materials to the daemon, and print its answer."""
+    """Send a change of scene or materials to the daemon with `send`, and print the daemon's answer."""
     with daemon(timeout_s) as client:
         result = send(client)
     tick = f", in force from tick {result['tick']:,} on" if "tick" in result else ""
@@ -155,7 +155,7 @@ def scene_get(as_json: bool) -> None:
 @click.argument("file", shell_complete=names.scenes)
 @_change_options
 def scene_set(file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
-    """Replace the scene by that in FILE, which is YAML, the name of a shipped scene, or - for standard input."""
+    """Replace the scene by the scene in FILE: YAML, the name of a shipped scene, or - for standard input."""
     from hapticd.config.shipped_files import file_of
 
     source = file_of(file, "scenes")
@@ -252,7 +252,7 @@ def material_update(file: str, expect_revision: int | None, wait: bool, as_json:
 
 
 def _mode(text: str) -> dict[str, float]:
-    """Parse `--mode` into keys and numbers."""
+    """Return the keys and numbers of a vibration mode from the text of the option `--mode`."""
     try:
         pairs = [part.split("=") for part in text.split(",")]
         mode = {key.strip(): float(number) for key, number in pairs}
@@ -286,7 +286,7 @@ def _mode(text: str) -> dict[str, float]:
 def play_command(
     material: str | None, mode: dict[str, float] | None, amplitude: float, direction: tuple[float, float], as_json: bool
 ) -> None:
-    """Play the tap of MATERIAL, or a mode, whether or not anything is touched.
+    """Play the tap of MATERIAL, or a mode (a decaying vibration), whether or not anything is touched.
 
     \b
     hapticd play wood --amplitude 20
@@ -308,7 +308,7 @@ def play_command(
 def force_command(state: str, as_json: bool) -> None:
     """Turn forces on or off.
 
-    Turning them on clears a latched fault if its cause is gone.
+    Turning forces on clears a latched fault whose cause is gone.
     """
     from hapticd.protocol.calls import RemoteError
     from hapticd.protocol.messages import Code
@@ -364,7 +364,7 @@ def operator_command(file: str, as_json: bool) -> None:
 
 
 def _json(text: str) -> Json:
-    """Parse `--data`."""
+    """Return the value of the option `--data`, which is JSON text."""
     try:
         data: Json = json.loads(text)
     except ValueError as error:

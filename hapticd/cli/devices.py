@@ -43,7 +43,7 @@ _MAX_DESCRIPTOR_FILE_BYTES: Final = 1 << 20
 def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> None:
     """List HID devices, and whether each can be driven or the reason why not.
 
-    Devices that match device.hid of the configuration are judged by it, others by the defaults.
+    A device that matches device.hid of the configuration is judged by this section, others by its defaults.
     """
     if ctx.invoked_subcommand is not None:
         return
@@ -70,7 +70,7 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
 
 
 def _hid_of(configs: tuple[str, ...]) -> Hid:
-    """Return `device.hid` as `hapticd run` would use it, or the defaults if the configuration has no HID device.
+    """Return the section `device.hid` that `hapticd run` would use; its defaults if no HID device is configured.
 
     A faulty configuration is an error if it was given with -c. If it was found at a default path, a note is printed.
     """
@@ -102,7 +102,10 @@ def _verdict(item: Found) -> str:
 
 
 def _selected(device: str | None, found: Sequence[Found], what: str) -> Found:
-    """Return the device with this path or VENDOR:PRODUCT, or the only one in `found`; `what` describes it in errors."""
+    """Return the device with this path or VENDOR:PRODUCT, or the only device in `found`.
+
+    `what` is the predicate of the devices in errors, such as "can be driven".
+    """
     matching = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
     if len(matching) == 1:
         return matching[0]
@@ -165,7 +168,7 @@ def release_command(device: str | None, as_json: bool) -> None:
 
 
 def _hand_over(device: str | None, as_json: bool, *, release: bool) -> None:
-    """Claim or release the named device, or the only one that can be driven or is claimed."""
+    """Claim or release the named device, by default the only device that can be driven or that is claimed."""
     from hapticd.hid.claim import Claims
     from hapticd.hid.discovery import find
 
@@ -272,7 +275,7 @@ def descriptor_bytes(data: bytes, name: str) -> bytes:
 
 
 def _lines(verdict: Verdict) -> Iterator[str]:
-    """Yield the output lines of `devices parse`: verdict, axes, forces, and unused parts of the descriptor."""
+    """Yield the output lines of `devices parse`: verdict, axes, forces, and unused parts of the report descriptor."""
     if verdict.plan is None:
         yield f"cannot be driven: {verdict.why_not}"
     else:

@@ -27,7 +27,7 @@ _PROGRESS_PERIOD_S: Final = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """Values of the options that select the workers."""
+    """Values of the options that select where points are computed: processes, threads or a dask scheduler."""
 
     workers: int | None
     threads: bool
@@ -52,7 +52,7 @@ def engine_options(what: str) -> Callable[[_F], _F]:
 
 
 def require_engine(where: Where) -> None:
-    """Raise click.UsageError if options exclude each other, HapticdError if the extra `cluster` is not installed."""
+    """Raise click.UsageError if options in `where` exclude each other, HapticdError without the extra `cluster`."""
     from hapticd.sweeps.cluster import require_dask
     from hapticd.sweeps.store import require_pyarrow
 
@@ -63,7 +63,7 @@ def require_engine(where: Where) -> None:
 
 
 def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome, Store]:
-    """Compute the points that the folder lacks, with progress on stderr. `what` names one of them: "point"."""
+    """Compute the points that the folder of results lacks, with progress on stderr. `what` is a word for a point."""
     from hapticd.sweeps import engine
     from hapticd.sweeps.cluster import client_of
     from hapticd.sweeps.interrupts import sigterm_ends
@@ -87,7 +87,7 @@ def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome
 
 
 def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict[str, object]:
-    """Return the outcome for --json. `what` is the key of the number of points: "points"."""
+    """Return the outcome of a run for --json. The number of points is under the key `what`, such as "fits"."""
     fields = asdict(outcome)
     for name in ("seconds", "worker_seconds"):
         fields[name] = round(fields[name], 3)
@@ -95,7 +95,7 @@ def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict
 
 
 def outcome_text(outcome: Outcome, what: str) -> str:
-    """Return the outcome in one line. `what` names one of the points: "fit"."""
+    """Return the outcome of a run as one line of text. `what` is the word for a point, such as "fit"."""
     return (
         f"{wording.count(outcome.points, what)}: {outcome.computed} computed in {outcome.seconds:.1f} s "
         f"({outcome.worker_seconds:.1f} s of workers), {outcome.reused} already existed, {outcome.failed} failed"
@@ -104,7 +104,7 @@ def outcome_text(outcome: Outcome, what: str) -> str:
 
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[Progress], None]]:
-    """Yield a function that reports progress: a status line on a terminal, else a line every ten seconds."""
+    """Yield a function that shows progress: in a status line on a terminal, else as a line every ten seconds."""
     last = monotonic()
 
     def report(at: Progress) -> None:

@@ -21,7 +21,7 @@ SIMULATED_ROWS_FOLDER: Final = Path("sourcedata", "simulated")
 def run_bulk(
     study: Study, source: bytes, labels: tuple[str, ...], session: int, seed: int, output: Path, where: Where
 ) -> int:
-    """Simulate one session of each participant that the data set lacks, and return the exit code.
+    """Simulate a session of each participant whose session the data set lacks, and return the exit code.
 
     Writes rows of Parquet into SIMULATED_ROWS_FOLDER of the data set, and the folder of each session. The exit code is
     0 if every session is complete, otherwise 1. Raises HapticdError.

@@ -36,7 +36,7 @@ demo_option = click.option(
 
 @contextmanager
 def place_of_session(ctx: click.Context, demo: bool) -> Iterator[RuntimePaths]:
-    """Yield the paths of the session's daemon; with `demo` start a separate daemon that ends with the block."""
+    """Yield the paths of the session's daemon; with `demo` run a separate daemon while the context is active."""
     if not demo:
         from hapticd.protocol.places import place_of
 
@@ -60,7 +60,7 @@ def rig_at(place: RuntimePaths) -> Config:
 
 @contextmanager
 def live_stage(place: RuntimePaths, lsl: bool) -> Iterator[DaemonStage]:
-    """Yield the stage that renders trials on the daemon at `place`; with `lsl` also stream to Lab Streaming Layer."""
+    """Yield the renderer of trials on the daemon at `place`; with `lsl` also stream to Lab Streaming Layer."""
     from hapticd.client.blocking import Client
     from hapticd.experiment.daemon_stage import DaemonStage
 
@@ -81,9 +81,9 @@ def run_on_pages(
     lsl: bool,
     session: Callable[[Stage, PagesFront], int],
 ) -> int:
-    """Serve both pages while `session` runs on the daemon at `place`; return the session's exit code.
+    """Serve the pages of participant and experimenter while `session` runs; return the session's exit code.
 
-    `simulated` says whether that daemon has the simulated joystick.
+    `place` has the daemon's paths; `simulated` says whether the daemon has the simulated joystick.
     """
     if importlib.util.find_spec("aiohttp") is None:
         raise HapticdError("the pages of a session need aiohttp: pip install 'hapticd[experiment,web]'")

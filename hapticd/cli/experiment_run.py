@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _SIMULATED_PREFIX = "simulated:"
 """Prefix of the value of --participant for a simulated participant."""
 _SessionOpener: TypeAlias = "Callable[[Stage], tuple[SessionFolder, SessionLog]]"
-"""A function that creates or opens the folder and the log of a session; the stage renders its trials."""
+"""A function that creates or opens the folder and the log of a session; its argument is the renderer of trials."""
 
 _TEXT_WITH_DEMO_ERROR = "--text cannot be combined with --demo: only a page moves the hand of the simulated joystick"
 
@@ -203,7 +203,7 @@ def resume_command(ctx: click.Context, folder: Path, text: bool, lsl: bool, demo
 
 
 def _participant(given: str) -> tuple[str, bool]:
-    """Return the label of a participant, and whether the participant is simulated."""
+    """Return the label in the value of --participant, and whether the participant is simulated."""
     from hapticd.experiment.session_folder import participant_label
 
     simulated = given.startswith(_SIMULATED_PREFIX)
@@ -228,7 +228,7 @@ def _with_stage(
     lsl: bool,
     telemetry: bool,
 ) -> int:
-    """Run the session that `open_session` creates or opens: offline, at the terminal, or with pages."""
+    """Run the session that `open_session` opens: offline, at the terminal, or with pages. Return the exit code."""
     from hapticd.experiment.offline_stage import OfflineStage
 
     if offline:
@@ -253,7 +253,7 @@ def _with_stage(
 
 
 def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
-    """Warn of stimuli that the device does not display as written; the session begins nevertheless.
+    """Print a note on stimuli that the device does not display as written; the session begins nevertheless.
 
     With `named` the stimuli are listed, which a participant at this terminal must not read.
     """
@@ -269,7 +269,7 @@ def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
 
 
 def _run_shown(stage: Stage, front: PagesFront, open_session: _SessionOpener, plan: Plan, demo: bool) -> int:
-    """Run the session as `_run` does, and show on the pages that it has ended."""
+    """Run a session as `_run` does, show on its pages that the session has ended, and return its exit code."""
     thanks = "# Thank you\n\nThis was all. You can take your hand off the handle."
     stopped = "# The session has stopped\n\nThe forces are off. You can take your hand off the handle."
     try:
@@ -339,7 +339,7 @@ def _how_to_resume(folder: SessionFolder, demo: bool) -> str:
 
 
 def _front(folder: SessionFolder, plan: Plan) -> Front:
-    """Return the simulated participant of the session, or the dialog at the terminal for a real one."""
+    """Return the session's simulated participant, or for a real participant the dialog in the terminal."""
     from hapticd.experiment.participants.simulated import SimulatedFront, task_of
     from hapticd.experiment.text_front import TextFront
 

@@ -17,7 +17,7 @@ from hapticd.base.errors import HapticdError, InvalidError, collapse_whitespace,
 
 
 def report_error(error: Exception, as_json: bool) -> int:
-    """Print the error to stderr and return the exit code. Raise it again if it is a bug rather than a user's error."""
+    """Print the error of a command to stderr and return the exit code. An error that is a bug is raised again."""
     message = _message(error, as_json)
     exit_code = error.exit_code if isinstance(error, click.ClickException) else 1
     problems = getattr(error, "problems", ())

@@ -284,7 +284,7 @@ def _can_draw() -> bool:
 
 
 def _print_ranking(results: Sequence[MaterialResult]) -> None:
-    """Print the ranking, at most the 100 worst materials; if stdout is not a terminal, one line for each."""
+    """Print the ranking of at most the 100 worst materials; if stdout is not a terminal, one line for each material."""
     hidden = max(0, len(results) - _MAX_RANKING_ROWS)
     if hidden:
         click.echo(f"the best {hidden} are not shown; see ranking.csv")

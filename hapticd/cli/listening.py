@@ -13,7 +13,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 class Listening(TypedDict):
-    """The values of the options, by the names of their parameters."""
+    """The values of the options of `listening_options`, by the names of their parameters."""
 
     open_browser: bool
     host: str
@@ -24,7 +24,10 @@ class Listening(TypedDict):
 
 
 def listening_options(what: str, port: int, port_help: str, last_port: int = 65535) -> Callable[[_F], _F]:
-    """Return the options as the parameter `listening`. --open opens `what`; `last_port` is the largest port allowed."""
+    """Return the options of a command that serves pages, as the parameter `listening`.
+
+    --open opens `what`; `last_port` is the largest port allowed.
+    """
 
     def decorate(command: _F) -> _F:
         @click.option("--open", "open_browser", is_flag=True, help=f"Open {what} in the browser.")

@@ -74,7 +74,7 @@ def doctor_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 
 def _status() -> Mapping[str, object] | None:
-    """Return the status of the daemon of this user, else of the service, else None.
+    """Return the status of this user's daemon, else of the service's daemon, else None.
 
     Raises HapticdError if a daemon runs and does not answer.
     """
@@ -209,7 +209,7 @@ def stop_device_command(as_json: bool) -> None:
 
 
 def script(shell: str) -> str:
-    """Return the completion script of click for a shell, with three corrections.
+    """Return the completion script that click generates for a shell, with three corrections.
 
     Errors during a completion are not printed. In fish, help texts are not cut at their first comma. In zsh, a script
     that is loaded from fpath also works after the first completion.
@@ -248,7 +248,7 @@ def completion_command(shell: str) -> None:
 
 
 def _bench() -> ModuleType:
-    """Return the main module of the benchmarks. Raises HapticdError if they or a dependency are not installed."""
+    """Return the main module of the benchmarks. Raises HapticdError if benchmarks or a dependency are missing."""
     if not (SOURCE_TREE / "bench" / "report.py").is_file():
         raise HapticdError(
             "hapticd bench: not in a source tree; the benchmarks need one, after pip install -e '.[dev]'"

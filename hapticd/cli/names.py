@@ -29,7 +29,7 @@ _UNQUOTED_NAME: Final = re.compile(r"[\w.+-]+")
 
 
 def _completion_of(known: Callable[[click.Context], Iterable[str]], otherwise: str | None = None) -> Complete:
-    """Return a completion of the known names. If none matches, the shell completes the type `otherwise`: "file"."""
+    """Return a completion of the names from `known`; if none matches, the shell completes `otherwise`: "file"."""
 
     def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
         found = [CompletionItem(name) for name in known(ctx) if name.startswith(incomplete)]
@@ -53,7 +53,7 @@ def _files(folder: Folder) -> Complete:
 
 
 def _keys_from_daemon(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
-    """Return the keys of the mapping that `ask` requests from the daemon; [] if it does not answer in time."""
+    """Return the keys of the mapping that `ask` requests from the daemon; [] if the daemon does not answer in time."""
     from hapticd.client.blocking import connect
 
     try:
@@ -84,6 +84,6 @@ shipped_materials = _completion_of(_shipped_materials)
 materials = _completion_of(
     lambda ctx: _keys_from_daemon(ctx, lambda client: client.get_materials()["materials"]) or _shipped_materials(ctx)
 )
-"""Completion of the materials of the daemon, or of the shipped ones if it does not answer."""
+"""Completion of the materials of the daemon, or of the shipped materials if the daemon does not answer."""
 objects = _completion_of(lambda ctx: _keys_from_daemon(ctx, lambda client: client.get_scene()["scene"].get("objects")))
 """Completion of the objects in the scene of the daemon."""

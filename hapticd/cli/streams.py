@@ -22,9 +22,9 @@ class OutputLost(HapticdError, OSError):
 
 
 class _Stream(io.FileIO):
-    """A stream that discards what cannot be written, so that a daemon continues without its log.
+    """An output stream that discards data that cannot be written, so that a daemon continues without its log.
 
-    With `raises` the first failed write raises OutputLost; later ones do not, since Python flushes again at the exit.
+    With `raises` the first failed write raises OutputLost; later writes do not, since Python flushes again at the exit.
     """
 
     def __init__(self, descriptor: int, raises: bool) -> None:
@@ -34,7 +34,7 @@ class _Stream(io.FileIO):
         """Whether the last write failed."""
 
     def write(self, data: Buffer, /) -> int:
-        """Write `data` or discard it; return its length in bytes."""
+        """Write `data`, or discard `data` if writing fails; return the length of `data` in bytes."""
         try:
             written = super().write(data)
         except OSError as error:
@@ -48,7 +48,7 @@ class _Stream(io.FileIO):
 
 @contextmanager
 def guarded() -> Iterator[Callable[[], bool]]:
-    """Within a `with`, make failed writes to `sys.stdout` raise OutputLost, and ignore those to `sys.stderr`.
+    """While the context is active, make failed writes to `sys.stdout` raise OutputLost; ignore those to `sys.stderr`.
 
     Yields a function that returns whether the last write to stderr failed, for the exit code. A stream that the caller
     has replaced is not changed.

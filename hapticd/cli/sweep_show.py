@@ -73,7 +73,7 @@ def show_command(
 
 
 def _draw(store: Store, folder: Path | None, page: str | None, overwrite: bool) -> None:
-    """Write the figures and the page. Raises HapticdError before drawing if an output cannot be written."""
+    """Write figures and page of a sweep. Raises HapticdError before drawing if an output cannot be written."""
     from hapticd.analysis.drawing import require_matplotlib
     from hapticd.sweeps import figures, report_page
     from hapticd.sweeps.results import load_results
@@ -102,9 +102,9 @@ def _draw(store: Store, folder: Path | None, page: str | None, overwrite: bool) 
 
 
 def _condition(text: str, columns: Sequence[Column]) -> tuple[str, Value]:
-    """Parse a condition such as `suffices=yes` into column and value.
+    """Return column and value of a condition of --where, such as `suffices=yes`.
 
-    A column may be named by the part after its last dot if no other column has the same.
+    The part of a column's name after the last dot is enough if no other column ends in the same part.
     """
     name, equals, value = text.partition("=")
     if not equals:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _Truth = dict[str, float]
-"""The parameters of synthetic recordings, by name."""
+"""The parameters that a fit of synthetic recordings should find, by name."""
 RECORDING_SUFFIX: Final = ".npz"
 MATERIAL_BY_KIND: Final = {"tap": "wood", "grooves": "comb", "texture": "sandpaper_100", "puncture": "cellophane"}
 """The kinds of recordings, each with its default material."""
@@ -178,7 +178,7 @@ def _strokes(
     pairs: Sequence[tuple[float, float]],
     duration_s: float,
 ) -> tuple[list[Recording], _Truth]:
-    """Return a stroke for each pair of speed and force, and their parameters."""
+    """Return a recording of a stroke for each pair of speed and force, and the parameters that a fit should find."""
     from hapticd.config.texture import Autoregressive, Grooves
     from hapticd.fit.synthesize import Hand, grooves, texture
 
@@ -215,12 +215,15 @@ def _values(owner: object, *names: str) -> _Truth:
 
 
 def _seeded(stylus: Stylus, count: int) -> list[Stylus]:
-    """Return a stylus for each recording, each with a separate seed; 1000 recordings share none with another --seed."""
+    """Return a stylus with a separate seed for each of `count` recordings.
+
+    The seeds of up to 1000 recordings differ from those with any other --seed.
+    """
     return [replace(stylus, seed=1000 * stylus.seed + index) for index in range(count)]
 
 
 def _targets(output: str, count: int) -> list[str]:
-    """Return the names of `count` files: `output`, or if there are several, that with -1, -2 and so on."""
+    """Return the names of `count` files: `output`, or for several files `output` with -1, -2 and so on before .npz."""
     if count == 1:
         return [output]
     stem, ending = os.path.splitext(output)

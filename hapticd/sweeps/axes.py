@@ -25,19 +25,19 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One entry of `vary`: a varied key, or a set of named levels."""
+    """One entry of a study's key `vary`: a varied key, or named levels that each set several keys."""
 
     name: str
     """Path of the key, or the name that the study gives to the levels."""
     values: tuple[Value, ...] | Floats
     """The values of the key, or the names of the levels."""
     of_point: Indices
-    """For each point, the index of its value in `values`, (n,)."""
+    """For each of the n points of the study, the index of its value in `values`, (n,)."""
     kind: Kind
 
     @property
     def plain_values(self) -> Sequence[Value]:
-        """The values as plain Python objects."""
+        """The values of the axis as plain Python objects."""
         return self.values.tolist() if isinstance(self.values, np.ndarray) else self.values
 
 
@@ -107,7 +107,7 @@ def _listed(study: SweepStudy, name: str, axis: SweepAxis) -> tuple[Value, ...] 
 
 
 def _as_floats_if_mixed(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats:
-    """Return values as an array of floats if any are floats and all are numbers, otherwise unchanged."""
+    """Return the values of an axis as an array of floats if all are numbers and any is a float, otherwise unchanged."""
     kinds = set(map(type, values))
     if float in kinds and kinds <= {int, float}:
         return np.array(values, dtype=np.float64)
@@ -115,7 +115,7 @@ def _as_floats_if_mixed(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats
 
 
 def shown_value(value: Value, kind: Kind) -> Value:
-    """Return a value as a column of this kind stores it: a text column stores numbers and booleans as text."""
+    """Return a value as a column of kind `kind` stores it: a text column stores numbers and booleans as text."""
     if kind != "text" or isinstance(value, str):
         return value
     return str(value).lower() if isinstance(value, bool) else f"{value}"
@@ -134,7 +134,7 @@ def _quantiles(axis: SweepAxis, probabilities: Floats) -> Floats:
 
 
 def _drawn(study: SweepStudy, name: str, axis: SweepAxis, count: int) -> Axis:
-    """Return an axis of `count` random values; in a Latin hypercube they are stratified in probability."""
+    """Return an axis of `count` random values; in a Latin hypercube the values are stratified in probability."""
     random = _random(study, name)
     if study.combine == "random":
         probabilities = random.random(count)

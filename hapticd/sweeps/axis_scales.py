@@ -39,7 +39,7 @@ _READABLE_UNITS: Final[dict[str, tuple[tuple[float, float, str], ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The scale of one axis."""
+    """The scale of one axis of a figure."""
 
     label: str
     """Axis label with the unit."""
@@ -75,12 +75,12 @@ class Scale:
         return np.exp(found) if self.spacing == "logarithmic" else found
 
     def prepare(self, axes: Axes, which: Which) -> None:
-        """Make the axis of a figure logarithmic if the scale is. Call it before drawing."""
+        """Make the axis `which` of a figure logarithmic if this scale is logarithmic. Must be called before drawing."""
         if self.spacing == "logarithmic":
             (axes.set_xscale if which == "x" else axes.set_yscale)("log")
 
     def label_ticks(self, axes: Axes, which: Which) -> None:
-        """Label as many ticks as have room, with plain numbers. Call it after drawing."""
+        """Label as many ticks of the axis `which` as have room, with plain numbers. Must be called after drawing."""
         from matplotlib.ticker import NullLocator
 
         axis = axes.xaxis if which == "x" else axes.yaxis
@@ -163,7 +163,7 @@ def _scale(words: str, column: Column, numbers: Floats, logarithmic: bool, shows
 
 
 def _geometric(numbers: Floats) -> bool:
-    """Return whether the ratios of successive numbers vary less than their differences."""
+    """Return whether the ratios of successive numbers vary less than the differences of successive numbers."""
     if len(numbers) < 3 or numbers.min() <= 0:
         return False
     steps, ratios = np.diff(numbers), np.diff(np.log(numbers))

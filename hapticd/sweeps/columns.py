@@ -14,7 +14,7 @@ Role: TypeAlias = Literal["point", "varied", "measured", "error"]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a result table."""
+    """A column of a result table, with one value for each point."""
 
     name: str
     kind: Kind

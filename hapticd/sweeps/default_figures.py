@@ -16,7 +16,7 @@ _MIN_MAP_VALUES: Final = 5
 
 
 def default_figures(results: Results) -> list[SweepFigure]:
-    """Return one figure for each measured column, up to MAX_DEFAULT_FIGURES; with `refine` only the boundary.
+    """Return a figure for each measured column, up to MAX_DEFAULT_FIGURES; with `refine` one figure of the boundary.
 
     The x axis is the numeric key with the most values. The key with the second most values is the y axis of a map if it
     is numeric and has at least _MIN_MAP_VALUES values; otherwise each of its values is a line. Other keys of a crossed
@@ -45,7 +45,7 @@ def default_figures(results: Results) -> list[SweepFigure]:
 
 
 def _drawn(results: Results, is_map: bool) -> list[str]:
-    """Return the measured columns that can be drawn and have any value."""
+    """Return the measured columns that can be drawn (as a map if `is_map`, else as lines) and have any value."""
     if results.study.refine is not None:
         return ["boundary"]
     found = []

@@ -50,7 +50,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Progress of a study, in points."""
+    """Progress of the run of a study, in points."""
 
     done: int
     total: int
@@ -66,7 +66,7 @@ class Outcome:
 
     points: int
     reused: int
-    """Points that were not computed because the folder had their rows."""
+    """Points that were not computed because the folder of results had their rows."""
     computed: int
     failed: int
     """Computed points whose row has an error."""
@@ -84,7 +84,7 @@ def run(
     report: Callable[[Progress], None],
     again: bool = False,
 ) -> Outcome:
-    """Compute the points of a study whose rows are not in the folder.
+    """Compute the points of a study whose rows are not in the folder of results.
 
     Args:
         work: The study.
@@ -111,16 +111,16 @@ def run(
 
 @dataclass(frozen=True, slots=True)
 class _SubmittedPiece:
-    """A piece that a worker computes, or that waits at the scheduler or a worker."""
+    """A piece (a group of points) that a worker computes, or that waits at the scheduler or a worker."""
 
     part: Indices
     workers: frozenset[str] | None
-    """Addresses of the workers that may compute it; None allows all."""
+    """Addresses of the workers that may compute the piece; None allows all."""
 
 
 @dataclass
 class _Engine:
-    """One run of a study: the points that are missing, the submitted pieces, and the workers."""
+    """One run of a study: the points without a row, the submitted pieces (groups of points), and the workers."""
 
     work: Work
     store: Store
@@ -145,7 +145,7 @@ class _Engine:
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
     """Futures that are done, and None for an interrupt."""
     interrupted: int | None = None
-    """Number of the signal that arrived."""
+    """Number of the signal that arrived, SIGINT or SIGTERM; None if none did."""
     refused: set[str] = field(default_factory=set)
     """Addresses of the workers that get no pieces."""
     unwritten: list[Row] = field(default_factory=list)
@@ -161,7 +161,7 @@ class _Engine:
     def usable_workers(self) -> list[str]:
         """Return the addresses of the workers that may be used, and set `threads` to the number of their threads.
 
-        Waits up to WORKER_WAIT_S for a worker. Raises HapticdError if none can be used.
+        Waits up to WORKER_WAIT_S for a worker. Raises HapticdError if no worker can be used.
         """
         known = self._threads_of_workers()
         deadline = monotonic() + WORKER_WAIT_S
@@ -187,7 +187,7 @@ class _Engine:
         return found
 
     def check_versions(self) -> None:
-        """Refuse each worker with another code version. Workers that join later are checked with their first piece."""
+        """Exclude workers with another code version of hapticd. Workers that join later check theirs in a task."""
         for address, answer in self.client.run(code_version, on_error="return").items():
             if isinstance(answer, OSError):
                 continue  # the worker has ended
@@ -199,7 +199,7 @@ class _Engine:
                 self.refuse(address, f"it runs hapticd {answer}, this study needs {self.version}")
 
     def refuse(self, address: str, why: str) -> None:
-        """Exclude a worker from further pieces, and report the reason once."""
+        """Exclude the worker at `address` from further points, and report the reason `why` once."""
         if address not in self.refused:
             self.refused.add(address)
             self.note(f"worker {address} is not used: {why}")
@@ -207,7 +207,7 @@ class _Engine:
     # ---- Pieces ------------------------------------------------------------------------------------------------------
 
     def next_piece_size(self, threads: int) -> int:
-        """Return the number of points of the next piece, estimated from the mean computing time of a point."""
+        """Return the number of points of the next task, estimated from the mean computing time of a point."""
         if not self.done:
             return 1
         each_s = max(self.spent_s / self.done, 1e-7)
@@ -216,7 +216,7 @@ class _Engine:
         return max(1, round(min(wanted_s, max(left_s / (2 * threads), MIN_LAST_PIECE_S)) / each_s))
 
     def next_piece(self, threads: int) -> Indices | None:
-        """Return the points of the next piece, or None if all points are in pieces."""
+        """Return the next piece (the points of the next task), or None if all points are in pieces."""
         if self.to_retry:
             return self.to_retry.popleft()
         if self.taken == len(self.missing):
@@ -226,7 +226,7 @@ class _Engine:
         return part
 
     def submit(self) -> None:
-        """Submit pieces until 1 + QUEUED_PIECES_PER_THREAD are submitted for each thread of the workers."""
+        """Submit pieces (groups of points) until each thread of the workers has 1 + QUEUED_PIECES_PER_THREAD."""
         self.end_if_interrupted()
         workers = frozenset(self.usable_workers())
         self.cancel_stranded(workers)
@@ -250,7 +250,7 @@ class _Engine:
             future.add_done_callback(self.finished.put)
 
     def cancel_stranded(self, workers: frozenset[str]) -> None:
-        """Cancel pieces whose allowed workers have all left; dask would keep them until such a worker returns."""
+        """Cancel tasks whose allowed workers have all left; dask would keep these tasks until such a worker returns."""
         for future, piece in list(self.submitted.items()):
             if piece.workers is not None and not piece.workers & workers:
                 self.client.cancel([future], force=True)
@@ -258,9 +258,9 @@ class _Engine:
                 self.retry_or_fail(piece.part, WORKERS_ENDED_REASON)
 
     def compute_all(self) -> None:
-        """Submit pieces and store their rows until all points are done.
+        """Compute all points without a row on the workers, and store the rows.
 
-        Raises HapticdError. After SIGINT or SIGTERM it stores the finished rows, then raises as in `raise_interrupt`.
+        Raises HapticdError. After SIGINT or SIGTERM this stores the finished rows, then calls `raise_interrupt`.
         """
         try:
             with noted_interrupts(self.interrupt):
@@ -287,12 +287,12 @@ class _Engine:
         self.finished.put(None)
 
     def end_if_interrupted(self) -> None:
-        """Raise as in `raise_interrupt` if SIGINT or SIGTERM has arrived."""
+        """Raise KeyboardInterrupt if SIGINT has arrived, or SystemExit if SIGTERM has."""
         if self.interrupted is not None:
             raise_interrupt(self.interrupted)
 
     def write_unwritten(self) -> None:
-        """Write the rows that could not be written before. Raises HapticdError if writing fails again."""
+        """Write the computed rows that could not be written before. Raises HapticdError if writing fails again."""
         if not self.unwritten:
             return
         try:
@@ -302,7 +302,7 @@ class _Engine:
             raise HapticdError(f"{error}; {lost} of results are lost: run the same command to compute them") from None
 
     def handle_finished(self, future: Any) -> None:
-        """Store the rows of a finished piece, or submit its points again.
+        """Store the rows of the piece (group of points) that `future` has computed, or submit its points again.
 
         If a worker ends before its rows arrive, dask computes its pieces again.
         """
@@ -334,9 +334,9 @@ class _Engine:
         self.trying_suspect = False
 
     def retry_or_fail(self, part: Indices, why: str) -> None:
-        """Divide a failed piece into up to eight pieces, which are computed again; for a single point, store the error.
+        """Divide points whose task failed into up to eight tasks; for a single point, store the error `why`.
 
-        A single point whose workers ended is added to `suspects` first.
+        A single point whose workers ended is first added to `suspects`, and computed once more at the end.
         """
         if len(part) > 1:
             self.to_retry.extend(np.array_split(part, min(len(part), 8)))
@@ -354,7 +354,7 @@ class _Engine:
         return row
 
     def store_rows(self, rows: list[Row]) -> None:
-        """Write the rows of a piece; if that fails, keep them in memory and write them with the next piece."""
+        """Write the rows of one task; if writing fails, keep the rows and write them with those of the next task."""
         self.done += len(rows)
         self.failed += sum(row[ERROR_COLUMN.name] is not None for row in rows)
         self.unwritten += rows

@@ -45,7 +45,7 @@ class _Figure:
         self._figure, self._columns, self._values, self._crossed = figure, columns, values, crossed
 
     def faults(self) -> list[tuple[Path, str]]:
-        """Return the faults of the figure, with paths relative to it."""
+        """Return the faults of the figure, with paths relative to the figure's keys."""
         figure = self._figure
         faults = list(self._where_faults())
         if figure.kind == "table":
@@ -83,7 +83,7 @@ class _Figure:
         return self._columns[name].unit or "no unit"
 
     def _measured_faults(self, key: str, names: Sequence[str], text_allowed: bool) -> list[tuple[Path, str]]:
-        """Return the faults of columns that are not measured, cannot be drawn, or have different units."""
+        """Return faults of the columns `names`: not measured, not drawable, or with different units."""
         measured = [name for name, column in self._columns.items() if column.role == "measured"]
         for name in names:
             if name not in measured:
@@ -110,7 +110,7 @@ class _Figure:
         return faults
 
     def _key_faults(self, keys: Mapping[str, str]) -> list[tuple[Path, str]]:
-        """Return the faults of varied keys that are used twice or not at all, or have too many values."""
+        """Return the faults of varied keys that the figure uses twice or not at all, or that have too many values."""
         faults: list[tuple[Path, str]] = []
         names = [*keys.values(), *self._figure.where]
         faults += [((), f"{name} is used twice") for name in dict.fromkeys(names) if names.count(name) > 1]

@@ -82,7 +82,7 @@ class SweepFigure(CheckedTogether):
     )
 
     def cross_faults(self) -> list[str]:
-        """Return the faults between keys of the figure."""
+        """Return the faults that concern several keys of the figure together."""
         given = {name for names in _ALLOWED_KEYS.values() for name in names if getattr(self, name)}
         faults = [f"kind: {self.kind} needs {name}" for name in _REQUIRED_KEYS[self.kind] if name not in given]
         faults += [f"{name} is not a key of kind: {self.kind}" for name in sorted(given - {*_ALLOWED_KEYS[self.kind]})]

@@ -32,7 +32,7 @@ class Drawing:
 
     title: str
     caption: str
-    """The keys that are kept constant, with their values; may be empty."""
+    """The varied keys that are constant in the figure, with their values; may be empty."""
     keys: SweepFigure
     results: Results
 
@@ -60,14 +60,14 @@ class Drawing:
 
 
 def drawings_of(results: Results) -> list[Drawing]:
-    """Return the maps and line figures of the study, or the default ones if it has no key `figures`."""
+    """Return the maps and line figures of the study, or the default figures if the study has no key `figures`."""
     named = results.study.figures
     keys = default_figures(results) if named is None else [each for each in named if each.kind != "table"]
     return [Drawing(title_of(results, each), _caption(results, each), each, results) for each in keys]
 
 
 def file_names(drawings: Sequence[Drawing]) -> list[str]:
-    """Return a file name for each PNG, made of its number and its title."""
+    """Return a file name for the PNG of each figure, made of the figure's number and title."""
     words = [re.sub(r"[^a-z0-9]+", " ", each.title.lower()).strip() for each in drawings]
     kept = [textwrap.wrap(text, _MAX_NAME_CHARACTERS)[0] if text else "figure" for text in words]
     return [f"{number}-{text.replace(' ', '-')}.png" for number, text in enumerate(kept, 1)]
@@ -93,7 +93,7 @@ def _caption(results: Results, figure: SweepFigure) -> str:
 
 
 def _listed(results: Results, figure: SweepFigure) -> str:
-    """Return the entries of `where` as text with units: `handle mass: 40 g`."""
+    """Return the entries of the figure's key `where` as text with units: `handle mass: 40 g`."""
     found = []
     for name, value in figure.where.items():
         column = results.column(name)

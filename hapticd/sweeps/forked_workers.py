@@ -23,9 +23,9 @@ Dask also sets MALLOC_TRIM_THRESHOLD_, which is not set here: it causes a thousa
 
 
 def start_fork_server() -> None:
-    """Start the fork server if it is not running. It imports its modules while this process continues.
+    """Start the fork server if it is not running. The server imports its modules while this process continues.
 
-    Ctrl-C sends SIGINT to this process, fork server and workers. The last two block it, since this process ends them.
+    Ctrl-C sends SIGINT to this process, server and workers. Server and workers block SIGINT: this process ends them.
     """
     for name in _ONE_THREAD_VARIABLES:
         os.environ.setdefault(name, "1")

@@ -26,7 +26,7 @@ _MAX_EXACT_INTEGER: Final = 2**53
 
 
 def sum_of(data: Json, path: Path = ()) -> Sums:
-    """Return the sum of the hashes of all leaves below `path`, (2,).
+    """Return the sum of the hashes of all leaves of a document below `path`, (2,).
 
     `data` is the part of the document at `path`. An empty mapping has no leaves, an empty list is a leaf.
     """
@@ -63,7 +63,7 @@ def _path_bytes(path: Path) -> bytes:
 
 
 def _scalar_bytes(value: Json) -> bytes:
-    """Return the JSON text of a scalar as bytes; it is the same for 1000 and 1000.0."""
+    """Return the JSON text of a scalar as bytes; the text is the same for 1000 and 1000.0."""
     if isinstance(value, float) or (
         isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _MAX_EXACT_INTEGER
     ):

@@ -41,7 +41,7 @@ def noted_interrupts(note: Callable[[int], object]) -> Iterator[None]:
 
 @contextmanager
 def deferred_interrupts() -> Iterator[None]:
-    """Defer SIGINT and SIGTERM that arrive in the context to its end."""
+    """Defer SIGINT and SIGTERM that arrive within this context manager to its end."""
     arrived: list[int] = []
     try:
         with noted_interrupts(arrived.append):
@@ -60,7 +60,7 @@ def raise_interrupt(number: int) -> None:
 
 @contextmanager
 def sigterm_ends() -> Iterator[None]:
-    """Make SIGTERM raise SystemExit(143), as shells report it, so that cleanup runs as after Ctrl-C."""
+    """Make SIGTERM raise SystemExit(143), the exit code that shells expect, so that cleanup runs as after Ctrl-C."""
 
     def end(number: int, frame: FrameType | None) -> None:
         raise_interrupt(number)

@@ -81,7 +81,7 @@ class SweepAxis(CheckedTogether):
         return self.mean is not None or self.standard_deviation is not None
 
     def cross_faults(self) -> list[str]:
-        """Return the faults between keys of the axis."""
+        """Return the faults that concern several keys of the axis together."""
         given = [self.values is not None, self.is_range, self.is_normal, self.levels is not None]
         if sum(given) != 1:
             return ["needs one of: values (a list), low and high, mean and standard_deviation, levels"]
@@ -136,7 +136,7 @@ class SweepRefine(CheckedTogether):
     )
 
     def cross_faults(self) -> list[str]:
-        """Return the faults between keys of `refine`."""
+        """Return the faults that concern several keys of `refine` together."""
         if self.start == self.end:
             return ["start and end must differ"]
         if self.spacing == "logarithmic" and (self.start <= 0 or self.end <= 0):
@@ -196,7 +196,7 @@ class SweepStudy(CheckedTogether):
     )
 
     def cross_faults(self) -> list[str]:
-        """Return the faults between keys of the study."""
+        """Return the faults that concern several keys of the study together."""
         drawn = self.combine in DRAWING_COMBINES
         faults = []
         if drawn and self.count is None:

@@ -38,7 +38,7 @@ _MAX_DOTS: Final = 40
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """One line: its label, its column, and the rows of its points."""
+    """One line of a figure: its label, its column, and the rows of its points."""
 
     label: str
     column: str
@@ -46,7 +46,7 @@ class _Line:
 
 
 def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
-    """Draw a line figure. Points without a result are crosses at its lower edge."""
+    """Draw a line figure. Points without a result are crosses at the lower edge of the figure."""
     assert keys.x is not None and keys.y is not None
     rows = with_values(results.rows, keys.where)
     lines = _lines(results, keys, rows)
@@ -81,7 +81,7 @@ def draw_lines(figure: Figure, results: Results, keys: SweepFigure) -> None:
 
 
 def _add_legend(figure: Figure, axes: Axes, results: Results, keys: SweepFigure) -> None:
-    """Add a legend: lines first, then markers."""
+    """Add a legend to a line figure: lines first, then markers."""
     handles, labels = axes.get_legend_handles_labels()
     known = dict(zip(labels, handles, strict=True))
     marks = [*(words for _, words in BOUNDARY_STATE_MARKERS.values()), NO_RESULT_LABEL]
@@ -115,7 +115,7 @@ def _lines(results: Results, keys: SweepFigure, rows: Sequence[Row]) -> list[_Li
 def _draw_boundary(
     axes: Axes, rows: Sequence[Row], at: np.ndarray, y: Scale, color: str, style: str, label: str
 ) -> None:
-    """Draw a line through the values of BOUNDARY_COLUMN, and a band from them to those of BOUNDARY_FAILS_COLUMN."""
+    """Draw a line through the values of BOUNDARY_COLUMN, and a band up to the values of BOUNDARY_FAILS_COLUMN."""
     found = np.array([row[BOUNDARY_STATE_COLUMN] == "found" for row in rows])
     last, first = y.at([row[BOUNDARY_COLUMN] for row in rows]), y.at([row[BOUNDARY_FAILS_COLUMN] for row in rows])
     axes.plot(at, np.where(found, last, math.nan), style, ms=3.5, lw=1.3, color=color, label=literal(label))
@@ -128,7 +128,7 @@ def _draw_boundary(
 
 
 def _draw_overlays(axes: Axes, results: Results, keys: SweepFigure, lines: Sequence[_Line], x: Scale, y: Scale) -> None:
-    """Draw each overlay column as one dashed line if it is equal for all lines, else as one in each line's color."""
+    """Draw each overlay column as a dashed line: one if all lines have equal values, else one in each line's color."""
     assert keys.x is not None
     for name in keys.overlay or ():
         each = [(x.at([row[keys.x] for row in line.rows]), y.at([row[name] for row in line.rows])) for line in lines]

@@ -51,7 +51,7 @@ _OVERLAY_TOLERANCE: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class _Panel:
-    """One panel: its title, its column, and the rows of its points."""
+    """One panel of a map: its title, its column, and the rows of its points."""
 
     title: str
     column: str
@@ -175,7 +175,7 @@ def _colors(results: Results, keys: SweepFigure, panels: Sequence[_Panel]) -> _C
 def _draw_cells(
     axes: Axes, results: Results, panel: _Panel, keys: SweepFigure, x: Scale, y: Scale, colors: _Colors
 ) -> Any:
-    """Draw the points of a crossed study as cells, of others as dots; return the mappable for a color bar."""
+    """Draw points as cells if all axes are crossed, else as dots; return matplotlib's mappable for a color bar."""
     assert keys.x is not None and keys.y is not None
     at_x = x.at([row[keys.x] for row in panel.rows])
     at_y = y.at([row[keys.y[0]] for row in panel.rows])
@@ -244,7 +244,7 @@ def _add_legend(
     colors: _Colors,
     drawn: Any,
 ) -> None:
-    """Add a color bar for numbers, and a legend for texts, lines and crosses."""
+    """Add to a map a color bar for numbers, and a legend for texts, lines and crosses."""
     from matplotlib.patches import Patch
 
     assert keys.color is not None

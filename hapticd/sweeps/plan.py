@@ -39,12 +39,12 @@ class Job:
     """The document of all points (see identity.py), before the varied keys are set in it."""
     run: Run
     names: tuple[str, ...]
-    """Names of the axes."""
+    """Names of the axes, which are the varied keys or named levels."""
     kinds: tuple[Kind, ...]
-    """Kinds of the columns of the axes."""
+    """For each axis, the kind of its column in the result table: number, integer, boolean or text."""
 
     def document(self, values: Sequence[Value]) -> dict[str, Json]:
-        """Return the document of the point with these values, one value for each axis. Raises InvalidError."""
+        """Return the document (all input data) of the point with one value for each axis. Raises InvalidError."""
         document = dict(self.root)
         for name, value in zip(self.names, values, strict=True):
             for path, each in self.settings(name, value):
@@ -52,7 +52,7 @@ class Job:
         return document
 
     def settings(self, name: str, value: Value) -> Iterator[tuple[Path, Json]]:
-        """Yield path and value of each key that a value of an axis sets."""
+        """Yield path and value of each key in the document that the value `value` of the axis `name` sets."""
         for key, each in settings(self.study, name, value).items():
             yield path_of(key), each
 
@@ -65,7 +65,7 @@ class Job:
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
-        """The columns of a row."""
+        """The columns of a point's row, in order."""
         levels = {name for name, axis in self.study.vary.items() if axis.levels is not None}
         varied = [
             Column(name, kind, "varied", "" if name in levels else unit_of(name) or "")
@@ -98,7 +98,7 @@ class Job:
         return found
 
     def _refined(self, document: dict[str, Json]) -> Row:
-        """Search for the boundary; measure at the last value that meets the condition, or at `start` without one."""
+        """Search for the boundary of `refine`; measure at the last value that meets its condition, else at `start`."""
         refine = self.study.refine
         assert refine is not None
         path = path_of(refine.key)
@@ -121,7 +121,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Points:
-    """A piece of a sweep: some of its points."""
+    """Some points of a sweep, which one worker computes as one task."""
 
     job: Job
     ids: tuple[str, ...]
@@ -145,7 +145,7 @@ class Plan:
     ids: npt.NDArray[np.void] = field(repr=False)
     """Identities of the points, (n,) ID_DTYPE."""
     places: npt.NDArray[np.int64] = field(repr=False)
-    """For each point, the index of its combination of axis values, (n,): the first of those that give its document."""
+    """For each of n points, the index of the first combination of axis values that gives its document, (n,)."""
     source: str | None = field(default=None, repr=False)
     """Text of the study's file; None if the study was not read from a file."""
 
@@ -204,7 +204,7 @@ def plan(study: SweepStudy) -> Plan:
 
 
 def _shared_hash(job: Job) -> npt.NDArray[np.uint64]:
-    """Return the hash, (2,), of everything on which results depend besides the documents: measures, code and names."""
+    """Return the hash, (2,), of what results depend on besides the points' documents: measures, code and names."""
     from hapticd.sweeps.measures.registry import identity_of
 
     study = job.study
@@ -222,7 +222,7 @@ def _shared_hash(job: Job) -> npt.NDArray[np.uint64]:
 
 
 def _document_hashes(job: Job, axes: Sequence[Axis], total: int) -> npt.NDArray[np.uint64]:
-    """Return the hashes of the documents of n = `total` points, (n, 2).
+    """Return the hashes of the documents (all input data) of n = `total` points, (n, 2).
 
     If the axes are independent, each value of an axis is hashed only once. Otherwise each document is hashed.
     """
@@ -274,7 +274,7 @@ def _paths(job: Job, axis: Axis) -> set[Path]:
 
 
 def _names_material(path: Path, values: Sequence[Value]) -> bool:
-    """Return whether the values of an axis are names of shipped materials, by which a material is replaced."""
+    """Return whether `path` is that of a material, and `values` has names of shipped materials that replace it."""
     return len(path) == 2 and path[0] == _MATERIALS_KEY and any(isinstance(value, str) for value in values)
 
 

@@ -39,40 +39,40 @@ class Point:
 
     @cached_property
     def source(self) -> dict[str, Json]:
-        """The configuration as plain data, before it is validated."""
+        """The configuration of the point as plain data, before validation."""
         return {key: value for key, value in self._document.items() if key not in NON_CONFIG_KEYS}
 
     @cached_property
     def config(self) -> Config:
-        """The validated configuration. Raises InvalidError."""
+        """The validated configuration of the point. Raises InvalidError if the configuration has faults."""
         return load_config(self.source)
 
     @property
     def operator_source(self) -> dict[str, Json] | None:
-        """The operator as plain data, or None."""
+        """The operator (the motion of the hand) as plain data; None if the study has none."""
         given = self._document.get(OPERATOR_KEY)
         return given if isinstance(given, dict) else None
 
     @property
     def parameters(self) -> dict[str, Json]:
-        """Free parameters, which are not part of the configuration."""
+        """Free parameters of the point, which are not part of the configuration."""
         given = self._document.get(PARAMETERS_KEY)
         return given if isinstance(given, dict) else {}
 
     @cached_property
     def operator(self) -> Operator | None:
-        """The validated operator, or None. Raises InvalidError."""
+        """The validated operator (the motion of the hand); None if the study has none. Raises InvalidError."""
         given: Any = self._document.get(OPERATOR_KEY)
         return None if given is None else parse_operator(given)
 
     @property
     def rate_hz(self) -> float:
-        """Ticks per second."""
+        """Rate of the servo, in ticks per second."""
         return self.config.servo.rate_hz
 
     @property
     def duration_s(self) -> float | None:
-        """Duration of the run; None if it lasts as long as the path of the operator."""
+        """Duration of the run in s; None if the run lasts as long as the path of the operator."""
         found = self._document.get(DURATION_KEY)
         return float(found) if isinstance(found, int | float) else None
 
@@ -86,7 +86,7 @@ class Point:
 
     @cached_property
     def run(self) -> Run:
-        """The run: the closed loop with the simulated joystick, or with `run: render` the open loop.
+        """The run of the point: the closed loop with the simulated joystick, or with `run: render` the open loop.
 
         In the open loop, positions are those on the path of the hand. Raises InvalidError, HapticdError.
         """

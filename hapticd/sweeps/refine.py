@@ -55,10 +55,10 @@ def holds(refine: SweepRefine, row: Row) -> bool:
 
 
 def boundary_of(refine: SweepRefine, at: Callable[[float], bool]) -> Boundary:
-    """Search from `start` towards `end` for the boundary of a condition; `at(value)` returns whether it holds.
+    """Search from `start` to `end` for the boundary of a condition; `at(value)` returns whether the condition holds.
 
-    First, the ends of `scan` steps between `start` and `end` are tried in order. The step in which the condition first
-    fails is then bisected until it is narrower than `within`, or its ends are neighbouring floats.
+    First, the ends of `scan` intervals between `start` and `end` are tried in order. The interval in which the
+    condition first fails is then bisected until it is narrower than `within`, or its ends are neighbouring floats.
     """
     tried = 1
     if not at(refine.start):

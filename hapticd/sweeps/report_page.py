@@ -19,7 +19,7 @@ MAX_TABLE_ROWS: Final = 1000
 
 
 def page(results: Results, drawings: Sequence[Drawing]) -> str:
-    """Return the page with every figure as inline SVG. Raises HapticdError for a figure that cannot be drawn."""
+    """Return the HTML page of a sweep with each figure as SVG. Raises HapticdError if a figure cannot be drawn."""
     tables = [figure for figure in results.study.figures or () if figure.kind == "table"]
     source = results.source or yaml_text(results.study.to_dict())
     made = {"seed": str(results.study.seed), **results.versions}
@@ -54,7 +54,7 @@ def _summary(results: Results) -> str:
 
 
 def _own_columns(results: Results) -> list[str]:
-    """Return all columns except the identity, and `error` only if a row has an error."""
+    """Return the names of all columns except `point`, and except `error` if no row has an error."""
     failed = any(row["error"] is not None for row in results.rows)
     return [*results.named("varied"), *results.named("measured"), *(["error"] if failed else [])]
 

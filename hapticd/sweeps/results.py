@@ -53,7 +53,7 @@ class Results:
 
     @cached_property
     def _planned(self) -> dict[str, list[Value]]:
-        """The distinct values of each axis, also at points that are not computed yet."""
+        """The distinct values of each axis of the study, also at points that are not computed yet."""
         return {
             axis.name: list(dict.fromkeys(shown_value(value, axis.kind) for value in axis.plain_values))
             for axis in axes_of(self.study)
@@ -71,9 +71,9 @@ class Results:
 
 
 def words_of(columns: Sequence[Column], labels: Mapping[str, str]) -> dict[str, str]:
-    """Return the label of each column: that of the study, or else the last part of the dotted name without the unit.
+    """Return the label of each column: the study's label, or else the last part of the dotted name without the unit.
 
-    Preceding parts are added until the label is unique.
+    Preceding parts of the name are added until the label is unique.
     """
     parts = {column.name: [_plain(part) for part in column.name.split(".")] for column in columns}
     found: dict[str, str] = {}
@@ -131,7 +131,7 @@ def with_values(rows: Sequence[Row], where: Mapping[str, Value]) -> list[Row]:
 
 
 def best_of(rows: Sequence[Row], better: Mapping[str, str]) -> list[Row]:
-    """Return the Pareto-optimal rows: no other row is at least as good in all columns of `better`, and better in one.
+    """Return the Pareto-optimal rows: no other row is as good in all columns of `better`, and better in at least one.
 
     `better` has `least` or `most` for each column. Rows without a value in one of these columns are left out.
     """

@@ -55,22 +55,22 @@ def require_pyarrow() -> None:
 
 
 class Store:
-    """A folder of results."""
+    """A folder with the results of a study: study.json, identities of points, and rows."""
 
     def __init__(self, folder: Path, note: Callable[[str], None]) -> None:
-        """Open a folder. `note` is called with a line of text if a piece cannot be read or the folder not be locked."""
+        """Open a folder; `note` gets a line of text if a file of rows cannot be read, or the folder not be locked."""
         require_pyarrow()
         self._folder = folder
         self._note = note
 
     @property
     def folder(self) -> Path:
-        """Path of the folder."""
+        """Path of the folder of results."""
         return self._folder
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Lock the folder for this process while the context is active; create it if it is missing.
+        """Lock the folder of results for this process while the context is active; create a missing folder.
 
         Temporary files of killed processes are removed. Raises HapticdError if the folder cannot be created, or another
         process has locked it.
@@ -107,7 +107,7 @@ class Store:
             self._note(f"{self._folder}: cannot be locked: {error.strerror}; run only one study at a time into it")
 
     def begin(self, work: Work) -> None:
-        """Write study.json and points.npy; existing pieces are kept. Raises HapticdError."""
+        """Write study.json and points.npy of a study; existing rows are kept. Raises HapticdError."""
         points = io.BytesIO()
         np.save(points, np.frombuffer(work.ids.tobytes(), np.uint8).reshape(-1, ID_DTYPE.itemsize))
         columns = [asdict(column) for column in work.columns]
@@ -163,7 +163,7 @@ class Store:
         return np.frombuffer(b"".join(found), ID_DTYPE)
 
     def write(self, rows: Sequence[Row], columns: Sequence[Column]) -> None:
-        """Write rows as one piece, atomically, and sync it to disk. Raises HapticdError."""
+        """Write rows as one Parquet file, atomically, and sync the file to disk. Raises HapticdError."""
         import pyarrow
         from pyarrow import parquet
 
@@ -190,7 +190,7 @@ class Store:
         return pyarrow.Table.from_pylist([rows[point] for point in sorted(rows)], schema=schema)
 
     def digest(self) -> str:
-        """Return the SHA-256 of names, types and values of the columns; it does not depend on the pieces."""
+        """Return the SHA-256 of the columns' names, types and values, however the rows are divided among files."""
         table = self.table()
         digest = sha256()
         for name in table.column_names:
@@ -203,13 +203,13 @@ class Store:
         return digest.hexdigest()
 
     def rows(self) -> Iterator[Row]:
-        """Yield the rows of `table`. Raises HapticdError."""
+        """Yield the computed rows of the study, sorted by point. Raises HapticdError."""
         table = self.table()
         for begin in range(0, len(table), _ROWS_IN_MEMORY):
             yield from table.slice(begin, _ROWS_IN_MEMORY).to_pylist()
 
     def _tables(self, schema: Any, columns: list[str]) -> Any:
-        """Yield a pyarrow.Table with `columns` for each readable piece that has the fields of `schema`."""
+        """Yield a pyarrow.Table with `columns` for each readable Parquet file that has the fields of `schema`."""
         import pyarrow
         from pyarrow import parquet
 

@@ -35,7 +35,7 @@ _MAX_CHECKED_VALUES: Final = 200
 
 @dataclass(frozen=True, slots=True)
 class _Source:
-    """The YAML document of a study, and that of its base configuration if it is a separate file."""
+    """The YAML document of a study, and the document of its base configuration if the base is a separate file."""
 
     study: Document
     base: Document | None
@@ -97,7 +97,7 @@ def _load(document: Document, folder: str) -> Plan:
 
 
 def _with_base(document: Document, data: dict[str, Json], folder: str) -> Document | None:
-    """Replace the name of a base by its configuration; return the document of its file, or None without a file."""
+    """Replace a named base by its configuration; return the YAML document of the base, or None without a file."""
     given = data.get(_BASE_KEY, {})
     source: Document | None = None
     if isinstance(given, str):
@@ -125,7 +125,7 @@ def _file(name: str, folder: str, shipped: str) -> Document:
 
 
 def _with_operator(document: Document, data: dict[str, Json], folder: str) -> None:
-    """Replace the name of an operator by its content."""
+    """Replace the name of an operator (the motion of the hand) by its content."""
     given = data.get(OPERATOR_KEY)
     if isinstance(given, str):
         local = FilePath(folder, given)
@@ -168,7 +168,7 @@ def _plain_operator(operator: Operator) -> dict[str, Json]:
 
 
 def _elements(where: str) -> Path:
-    """Return the `where` of a problem as a path; empty if it is not a path."""
+    """Return the text `where` of a problem as a path of keys; empty if the text is not a path."""
     try:
         return path_of(where)
     except ValueError:
@@ -221,7 +221,7 @@ def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
 
 
 def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
-    """Return the faults of values that are invalid in the configuration.
+    """Return the faults of the values of axes that are invalid in the configuration.
 
     Each value of an axis is checked together with the first value of every other axis.
     """
@@ -247,7 +247,8 @@ def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
 def _faults_with(job: Job, values: Sequence[Value], name: str) -> list[tuple[Path, str]]:
     """Return the faults of the configuration at a point.
 
-    The path of a fault names the axis that sets the faulty key, else the axis `name`, or if `name` is empty the base.
+    The path of a fault names the axis that sets the faulty key. If no axis does, it names the axis `name`, or if `name`
+    is empty the base configuration.
     """
     try:
         document = job.document(values)

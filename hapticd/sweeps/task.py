@@ -14,13 +14,13 @@ from hapticd.sweeps.columns import Row
 from hapticd.sweeps.work import Piece
 
 Refusal: TypeAlias = tuple[str, str]
-"""Address of a worker that cannot compute the piece, and the reason."""
+"""Address of a worker that cannot compute its piece (a group of points), and the reason."""
 Answer: TypeAlias = "tuple[list[Row], float] | Refusal"
-"""The rows of the piece and their computing time in s, or a refusal."""
+"""The rows of a piece and their computing time in s, or a refusal by the worker."""
 
 
 def pickled(piece: Piece) -> bytes:
-    """Return a piece as bytes, which the scheduler forwards without unpickling them."""
+    """Return a piece (a group of points) as bytes, which the scheduler forwards without unpickling."""
     from distributed.protocol.pickle import dumps
 
     found: bytes = dumps(piece)

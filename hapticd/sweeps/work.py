@@ -36,14 +36,14 @@ class Work(Protocol):
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """The columns of every row, in order."""
+        """The columns of each point's row, in order."""
 
     @property
     def ids(self) -> npt.NDArray[np.void]:
         """The identities of the points, (n,) ID_DTYPE, all different."""
 
     def piece(self, indices: npt.NDArray[np.int64]) -> Piece:
-        """Return the points with these indices."""
+        """Return the points whose indices in `ids` are `indices`."""
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of study.json other than title and columns: at least `kind`, `study` and `seed`."""
+        """Return the members of the file study.json besides title and columns: at least `kind`, `study` and `seed`."""

@@ -46,10 +46,10 @@ FIT_COLUMNS: Final = (
 
 @dataclass(frozen=True)
 class Fits:
-    """Some fits of a batch, which one worker computes: a piece of the engine."""
+    """Some fits of a batch, which one worker computes as one task: a `Piece` of `sweeps/work.py`."""
 
     root: str
-    """Absolute path of the tree."""
+    """Absolute path of the tree of recordings."""
     ids: tuple[str, ...]
     sets: tuple[RecordingSet, ...]
 
@@ -57,7 +57,7 @@ class Fits:
         return len(self.sets)
 
     def rows(self) -> list[Row]:
-        """Compute one row for each fit."""
+        """Compute the row of each fit."""
         return [self._row(point, each) for point, each in zip(self.ids, self.sets, strict=True)]
 
     def _row(self, point: str, recordings: RecordingSet) -> Row:
@@ -76,7 +76,7 @@ class Fits:
 
 
 def fitted_row(root: str, recordings: RecordingSet) -> Row:
-    """Fit the recordings of a set and return the measured columns. Raises HapticdError if they cannot be fitted."""
+    """Fit the recordings of one fit and return its measured columns. Raises HapticdError if the fit is impossible."""
     from hapticd.analysis.statistics import require_scipy
     from hapticd.fit.contribution import added, contribution_of
     from hapticd.fit.from_files import fitted_files
@@ -120,28 +120,28 @@ def _rounded(value: object) -> object:
 
 @dataclass(frozen=True)
 class Batch:
-    """All fits of a tree."""
+    """All fits of a tree of recordings."""
 
     tree: Tree
 
     @property
     def title(self) -> str:
-        """Title with the path of the tree."""
+        """Title of the batch, with the path of the tree of recordings."""
         return f"Fits of {self.tree.path}"
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """The columns of every row."""
+        """The columns of each fit's row."""
         return FIT_COLUMNS
 
     @cached_property
     def ids(self) -> npt.NDArray[np.void]:
-        """The identities of the fits, (n,) ID_DTYPE, in the order of the tree's sets."""
+        """The identities of the n fits, (n,) ID_DTYPE, in the order of `tree.sets`."""
         sums = np.array([sum_of(_document(each)) for each in self.tree.sets], np.uint64).reshape(-1, 2)
         return sums.view(ID_DTYPE).reshape(-1)
 
     def piece(self, indices: npt.NDArray[np.int64]) -> Fits:
-        """Return the fits with these indices."""
+        """Return the fits whose indices in `ids` are `indices`."""
         ids = tuple(each.tobytes().hex() for each in self.ids[indices])
         return Fits(os.path.abspath(self.tree.path), ids, tuple(self.tree.sets[index] for index in indices.tolist()))
 
@@ -150,13 +150,13 @@ class Batch:
         return bytes(self.ids[index].tobytes()).hex()
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of study.json other than title and columns."""
+        """Return the members of the batch's study.json (see `sweeps/store.py`) other than title and columns."""
         path = os.fsencode(self.tree.path).decode(errors="backslashreplace")
         return {"kind": "batch", "study": {"tree": path}, "seed": 0}
 
 
 def _document(recordings: RecordingSet) -> dict[str, Json]:
-    """Return the document whose hash is the identity of a fit; it omits a set stiffness, on which no fit depends."""
+    """Return the document whose hash identifies a fit; it omits the option of a given stiffness, which changes none."""
     options: Sequence[tuple[str, Json]] = list(dataclasses.asdict(recordings.options).items())
     return {
         "kind": recordings.kind,

@@ -70,7 +70,7 @@ class FolderYaml:
     """A fit.yaml: its keys, and the line of each."""
 
     def __init__(self, path: str, shown: str) -> None:
-        """Read the file; `shown` is its name in errors. Raises InvalidError, and HapticdError if it cannot be read."""
+        """Read a fit.yaml; `shown` is its name in errors. Raises InvalidError, or HapticdError if it cannot be read."""
         document = load_bytes(read_file(path, MAX_YAML_BYTES), shown)
         refuse_other_kinds(document)
         if not isinstance(document.data, dict):
@@ -85,16 +85,16 @@ class FolderYaml:
 
     @property
     def keys(self) -> list[Key]:
-        """The keys that the file sets."""
+        """The keys that the fit.yaml sets."""
         return [key_of(field) for field in BatchFolder.model_fields if field in self.folder.model_fields_set]
 
     def problem(self, key: Key, text: str) -> Problem:
-        """Return a fault at the line of a key."""
+        """Return a fault with the text `text` at the line of a key."""
         return self._document.problem((key,), text)
 
 
 def merged(folders: Iterable[BatchFolder]) -> BatchFolder:
-    """Return the options that hold in the innermost of nested folders, which are given from the outermost on."""
+    """Return the fit options that hold in the last of `folders`, each of which contains the next folder."""
     found: dict[str, object] = {}
     for folder in folders:
         found |= {key_of(field): getattr(folder, field) for field in folder.model_fields_set}
@@ -102,7 +102,7 @@ def merged(folders: Iterable[BatchFolder]) -> BatchFolder:
 
 
 def options_of(folder: BatchFolder, kind: Kind) -> FitOptions:
-    """Return the options of a fit of this kind."""
+    """Return the options of `folder` for a fit of kind `kind`."""
 
     def is_used(field: str) -> bool:
         return kind in KINDS_OF_KEY[key_of(field)]

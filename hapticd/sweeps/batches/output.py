@@ -30,7 +30,7 @@ _DATE_ENTRY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
 
 
 def check_folder(folder: Path, tree: str) -> None:
-    """Raise HapticdError if a folder must not be written: it is in the tree, or holds files but no results."""
+    """Raise HapticdError if results must not go to `folder`: it is in the tree, or holds files but no results."""
     inside, above = os.path.realpath(folder), os.path.realpath(tree)
     if os.path.commonpath([inside, above]) == above:
         raise HapticdError(f"{folder}: is inside the tree of recordings; give a folder outside of it with -o")
@@ -41,7 +41,7 @@ def check_folder(folder: Path, tree: str) -> None:
 
 
 def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[dict[str, str], list[str]]:
-    """Write a file for each material that was not refused.
+    """Write a YAML file for each material of which at least one fit was not refused.
 
     Returns a mapping from the name of a material to the path of its file, and the paths of files that remain from
     earlier batches. A file that would change only in the date is kept. Raises HapticdError.
@@ -74,7 +74,7 @@ def _read(path: Path) -> str:
 
 
 def write_tables(folder: Path, results: Sequence[MaterialResult], files: Mapping[str, str]) -> None:
-    """Write ranking.csv and figures.csv. Raises HapticdError."""
+    """Write the tables ranking.csv and figures.csv of a batch. Raises HapticdError if one cannot be written."""
     ranking = [
         (rank, result.name, result.quality, fit.kind, fit.quality, len(fit.recordings.files), fit.left_out,
          "; ".join(fit.reasons), os.path.relpath(files[result.name], folder) if result.name in files else "")

@@ -52,7 +52,7 @@ def write_page(
     drawn: bool,
     note: Callable[[str], None],
 ) -> None:
-    """Write the page into `folder` as report.html.
+    """Write the page of a batch into `folder` as report.html.
 
     Args:
         title: Title of the page.
@@ -145,7 +145,7 @@ def _fit(fit: FitResult, drawn: bool) -> str:
 
 
 def _panel(data: Mapping[str, Any]) -> Panel:
-    """Return a plot from plain data."""
+    """Return a plot from its data in the row of a fit."""
     return Panel(**{**data, "curves": tuple(map(_curve, data["curves"]))})
 
 

@@ -56,11 +56,11 @@ class FitResult:
 
 @dataclass(frozen=True, slots=True)
 class MaterialResult:
-    """A material with its fits."""
+    """A material with the results of its fits."""
 
     name: str
     quality: Quality
-    """The worst verdict of its fits."""
+    """The worst verdict on a fit of the material."""
     fits: tuple[FitResult, ...]
     material: Material | None
     """The material that all fits which were not refused are merged into; None if every fit was refused."""
@@ -68,13 +68,13 @@ class MaterialResult:
 
     @property
     def reasons(self) -> list[str]:
-        """The reasons of all fits, each with the kind of its fit if there are several fits."""
+        """The reasons of the verdicts on all fits, each with the kind of its fit if there are several fits."""
         several = len(self.fits) > 1
         return [f"{fit.kind}: {reason}" if several else reason for fit in self.fits for reason in fit.reasons]
 
     @property
     def shown_reasons(self) -> str:
-        """The reasons as one text for a table, cut at MAX_REASONS_CHARACTERS."""
+        """The reasons of the verdicts as one text for a table, cut at MAX_REASONS_CHARACTERS."""
         text = "; ".join(self.reasons)
         return text if len(text) <= MAX_REASONS_CHARACTERS else f"{text[:MAX_REASONS_CHARACTERS].rsplit(' ', 1)[0]} ..."
 
@@ -125,7 +125,7 @@ def _number(value: float | None) -> float:
 
 
 def _material(name: str, fits: Sequence[FitResult], root: str, day: datetime.date) -> MaterialResult:
-    """Merge the fits into one material, one after the other, as `hapticd fit --merge` does."""
+    """Return the material into which its fits are merged, one after the other, as `hapticd fit --merge` does."""
     material: Material | None = None
     assumed: float | None = None
     notes: list[str] = []
@@ -157,7 +157,7 @@ def _material(name: str, fits: Sequence[FitResult], root: str, day: datetime.dat
 
 
 def _with_folder(origin: Mapping[str, object], root: str) -> dict[str, object]:
-    """Return a provenance with the path of the tree in front of the paths of its recordings."""
+    """Return the provenance `origin` with `root` (the tree's path) in front of the paths of its recordings."""
     files = origin["files"]
     assert isinstance(files, list)
     above = os.fsencode(root).decode(errors="backslashreplace")

@@ -45,7 +45,7 @@ _KINDS_TEXT: Final = ", ".join(FIT_KINDS[:-1]) + " or " + FIT_KINDS[-1]
 
 @dataclass(frozen=True, slots=True)
 class RecordingFile:
-    """A recording: its path in the tree, and the hashes of its content."""
+    """A recording: its path in the tree, and the hashes of the content of its files."""
 
     name: str
     """Path of the file, relative to the tree."""
@@ -70,7 +70,7 @@ class RecordingSet:
 
 @dataclass(frozen=True, slots=True)
 class Tree:
-    """A tree of recordings."""
+    """A tree of recordings: a folder with one folder for each material."""
 
     path: str
     """Path as the user wrote it."""
@@ -81,7 +81,7 @@ class Tree:
 
 
 def read_tree(path: str) -> Tree:
-    """Read a tree. Raises HapticdError if it is not a folder, InvalidError with all faults of the tree."""
+    """Read the tree at `path`. Raises HapticdError without a folder, InvalidError with all faults of the tree."""
     if not os.path.isdir(path):
         why = "not a folder" if os.path.exists(path) else "no such folder"
         raise HapticdError(f"{printable(path)}: {why}; a batch needs a folder with a folder for each material")
@@ -115,7 +115,7 @@ def _sha256(path: str) -> str:
 
 @dataclass(slots=True)
 class _Level:
-    """A folder and its content."""
+    """A folder of a tree: its fit.yaml, recordings and subfolders."""
 
     name: str
     """Path of the folder, relative to the tree."""
@@ -130,7 +130,7 @@ class _Level:
 
 @dataclass(slots=True)
 class _Reader:
-    """Reads a tree and collects its faults."""
+    """Reads a tree of recordings and collects its faults."""
 
     root: str
     problems: list[Problem] = field(default_factory=list)
@@ -264,7 +264,7 @@ class _Reader:
     # ---- Faults ------------------------------------------------------------------------------------------------------
 
     def check_kinds(self, name: str, kinds: dict[Kind, _Level], levels: list[_Level]) -> None:
-        """Check the number of recordings of a material, and the combination of kinds."""
+        """Check the number of recordings of a material, and the combination of its kinds of fits."""
         if not kinds and len(levels) == 1 and not levels[0].recordings and not levels[0].folders:
             self.fault(
                 name, f"holds no recordings; put them into a folder {_KINDS_TEXT}, or here with kind in {FIT_YAML}"
@@ -276,7 +276,7 @@ class _Reader:
             self.fault(name, f"holds {count} recordings, at most {MAX_PROVENANCE_FILES} are allowed for a material")
 
     def check_options(self, options: FitOptions, above: list[_Level]) -> None:
-        """Check that options do not exclude each other; a fault is reported at the innermost fit.yaml."""
+        """Check that fit options do not exclude each other; a fault is reported at the innermost fit.yaml `above`."""
         spelled = {"form": "as:", "law": "law", "two_modes": "two_modes", "mode_table": "mode_table"}
         fault = options.fault(lambda option: spelled.get(option, option))
         if fault is None:

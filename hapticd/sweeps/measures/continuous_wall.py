@@ -56,20 +56,20 @@ class _Segment:
 
     begin_s: float
     pressed: bool
-    """Whether the wall exerts a force."""
+    """Whether the wall exerts a force during the segment."""
     forced: Polynomial
     """The polynomial part of the height, in m, as a function of the time since `begin_s`."""
     decay_per_s: float
-    """a, in 1/s."""
+    """Decay rate a of the solution, in 1/s."""
     square: float
-    """q^2, in 1/s^2."""
+    """Square q^2 of the solution's angular frequency, in 1/s^2; negative if q is imaginary."""
     first: float
-    """A, in m."""
+    """Coefficient A of the cosine, in m."""
     second: float
-    """B, in m/s."""
+    """Coefficient B of the sine, in m/s."""
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats]:
-        """Return height in m and speed in m/s, each of the shape of `time_s`."""
+        """Return height in m and speed in m/s of the handle at times `time_s`, each of the shape of `time_s`."""
         t = time_s - self.begin_s
         a, q = self.decay_per_s, math.sqrt(abs(self.square))
         if self.square > 0.0:
@@ -90,7 +90,7 @@ class ContinuousWall:
     """The motion of the handle, which begins at rest at the hand's first waypoint, above the wall."""
 
     def __init__(self, loop: WallLoop, waypoints: Floats, minimum_jerk: bool, end_s: float, step_s: float) -> None:
-        """Compute the motion from 0 s to `end_s`.
+        """Compute the motion of the handle from 0 s to `end_s`.
 
         `waypoints` are rows [t_s, height_m] of the hand's reference, (n, 2), which begin at 0 s. If a touch and its
         release are separated by less than `step_s`, both may be missed.
@@ -102,7 +102,7 @@ class ContinuousWall:
         self._compute(end_s, step_s)
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats]:
-        """Return the height above the surface in m and the normal force of the wall in N at times (n,), each (n,)."""
+        """Return the handle's height above the wall in m and the wall's normal force in N at n times, each (n,)."""
         loop = self._loop
         height, force = np.empty_like(time_s), np.zeros_like(time_s)
         begins = [segment.begin_s for segment in self._segments]
@@ -151,7 +151,7 @@ class ContinuousWall:
         return float(later[0]) if len(later) else math.inf
 
     def _reference(self, now_s: float) -> Polynomial:
-        """Return the height of the reference as a polynomial in the time since `now_s`, up to the next waypoint."""
+        """Return the height of the hand's reference until the next waypoint: a polynomial in the time since `now_s`."""
         waypoints = self._waypoints
         index = int(np.searchsorted(waypoints[:, 0], now_s, side="right")) - 1
         if index < 0 or index + 1 >= len(waypoints):
@@ -182,10 +182,10 @@ class ContinuousWall:
 
 
 def _particular(mass: float, damping: float, stiffness: float, drive: Sequence[float]) -> list[float]:
-    """Return the coefficients of a polynomial y with M y'' + R y' + S y = drive, from the lowest power up.
+    """Return the coefficients of a polynomial y that solves M y'' + R y' + S y = drive, from the lowest power up.
 
-    Its degree is that of `drive`; without stiffness it is one higher, without stiffness and damping two higher, and
-    y(0) = 0.
+    M, R and S are `mass`, `damping` and `stiffness`; `drive` has the coefficients of a polynomial. The degree of y is
+    that of `drive`, without stiffness one higher, and without stiffness and damping two higher, with y(0) = 0.
     """
     if stiffness == 0.0:
         if damping == 0.0:

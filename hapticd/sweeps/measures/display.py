@@ -34,7 +34,7 @@ class DisplayedError:
         self.columns = (Column(options.name, "number", "measured", "", what),)
 
     def of(self, point: Point) -> Row:
-        """Measure with the configured handle, hand, rate, actuator and compensation.
+        """Return the displayed error with the configured handle, hand, rate, actuator and compensation.
 
         Raises HapticdError if the material has no tap of one mode, or the handle is unknown.
         """

@@ -54,7 +54,7 @@ class DisplayedMaterials:
         self._options = options
 
     def of(self, point: Point) -> Row:
-        """Measure with the configured handle, hand, rate, encoder, actuator, force limit and compensation.
+        """Count materials with the configured handle, hand, rate, encoder, actuator, force limit and compensation.
 
         Raises HapticdError for a material without a tap of one mode, and for a device with an unknown handle.
         """

@@ -22,10 +22,11 @@ _PERIOD_TOLERANCE: Final = 1e-9
 
 
 def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], max_gap_ticks: int = 0) -> float:
-    """Return the largest energy that one contact had given at any tick, a partial sum of f.(x' - x), in J, at least 0.
+    """Return the largest energy that one contact had given to the hand at any tick, in J, at least 0.
 
-    The force f acts while the position changes from x to x'; the force of the last tick acts after the contact.
-    `force_n` and `position_m` have shape (n, 2), `touched` (n,). Gaps of at most `max_gap_ticks` end no contact.
+    The energy is the sum of f.(x' - x) from the contact's first tick. The force f acts while the position changes
+    from x to x'; the force of the last tick acts after the contact. `force_n` and `position_m` have shape (n, 2),
+    `touched` (n,). Gaps of at most `max_gap_ticks` end no contact.
     """
     steps = np.zeros(len(force_n))
     steps[1:] = (force_n[:-1] * np.diff(position_m, axis=0)).sum(1)
@@ -61,7 +62,7 @@ class EnergyGiven:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Measure over all contacts of the run.
+        """Return the largest energy of all contacts of the point's run.
 
         Raises HapticdError if the scene has fields: samples have only the total force.
         """

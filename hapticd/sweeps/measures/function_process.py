@@ -54,10 +54,10 @@ class Function:
 
 
 class FunctionProcess:
-    """A process for one function. Only the thread that created it may use it."""
+    """A process that calls one user's function. Only the thread that created the process may use it."""
 
     def __init__(self, function: Function) -> None:
-        """Start the process. Raises HapticdError (one line) if the module cannot be loaded or lacks the function."""
+        """Start a process for a function. Raises HapticdError (one line) if its module cannot be loaded or lacks it."""
         self.function = function
         program = (
             f"import sys; sys.path[:] = {sys.path!r}; from hapticd.sweeps.measures.function_host import serve; serve()"
@@ -101,7 +101,7 @@ class FunctionProcess:
         self._end()
 
     def _exchange(self, message: object, timeout_s: float, timeout_text: str) -> Any:
-        """Send a message and return the answer; kill the process after `timeout_s` without one.
+        """Send a message to the process and return its answer; kill the process if none arrives within `timeout_s`.
 
         Raises HapticdError: with `timeout_text` after a time-out, with the exit status if the process has ended.
         """
@@ -147,7 +147,7 @@ def _end(process: subprocess.Popen[bytes], pipe: Connection) -> None:
 
 
 class _Thread(threading.local):
-    """The processes of a thread, ordered by their last use."""
+    """The function processes of a thread, ordered by their last use."""
 
     def __init__(self) -> None:
         self.processes: OrderedDict[Function, FunctionProcess] = OrderedDict()

@@ -29,7 +29,7 @@ class LoopError:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Measure over all ticks. Raises HapticdError with the reason if the continuous loop has no closed form."""
+        """Return the largest errors at all ticks of the run. Raises HapticdError if there is no closed form."""
         if point.run_kind != "simulate":
             raise HapticdError("loop_error needs the closed loop: set run: simulate")
         wall, material, push = _the_wall(point)

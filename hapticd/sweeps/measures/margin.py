@@ -29,7 +29,7 @@ class StabilityFactor:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Measure with the simulated joystick or with `device.handle`. Raises HapticdError if the handle is unknown."""
+        """Return the factor for the simulated joystick or `device.handle`; raise HapticdError for an unknown handle."""
         sets = sets_of(point.config)
         if sets is None:
             raise HapticdError("stability_factor: a real joystick needs device.handle")

@@ -14,14 +14,14 @@ class Measure(Protocol):
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """The columns of the measured quantities."""
+        """The columns of the quantities that the measure returns."""
 
     @property
     def needs_run(self) -> bool:
         """Whether the measure needs the run of the point."""
 
     def of(self, point: Point) -> Row:
-        """Measure a point and return the values of `columns`. Raises HapticdError if it cannot be measured."""
+        """Measure a point and return the values of `columns`. Raises HapticdError if the point cannot be measured."""
 
 
 class NoOptions(Model):

@@ -46,7 +46,7 @@ class OnsetError:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Measure over all touches of the run; the error is None without a touch.
+        """Return the error of largest magnitude of the run's touches (None without a touch), and their number.
 
         Raises HapticdError if an object was touched although the probe never crosses its surface.
         """
@@ -70,7 +70,7 @@ class OnsetError:
 
 
 def _crossings(item: SceneObject, time_s: Floats, positions: Floats, trajectory: Trajectory) -> Floats:
-    """Return the times in s at which the probe enters an object: in periods that begin outside and end inside."""
+    """Return the times in s at which the probe enters an object, in tick periods that begin outside and end inside."""
     height = _height_of(item, positions)
     into = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0))
     low, high = time_s[into], time_s[into + 1]
@@ -105,7 +105,7 @@ def _height_of(item: SceneObject, position: Floats) -> Floats:
 
 
 def _cubic(truth: Floats, rate_hz: float) -> Trajectory:
-    """Return the trajectory that interpolates positions and velocities at ticks, (n, 4), by cubics."""
+    """Return the trajectory that interpolates `truth` (positions and velocities at n ticks, (n, 4)) by cubics."""
 
     def at(time_s: Floats) -> Floats:
         index = np.clip((time_s * rate_hz).astype(np.int64), 0, len(truth) - 2)

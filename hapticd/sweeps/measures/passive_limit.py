@@ -35,7 +35,7 @@ class PassiveLimit:
         self._material = options.material
 
     def of(self, point: Point) -> Row:
-        """Measure with the simulated joystick or with `device.handle`.
+        """Return the passive limit for the simulated joystick or for `device.handle`.
 
         Raises HapticdError if the material is unknown, or the joystick has no known handle.
         """

@@ -40,7 +40,7 @@ class Quantile:
         self.columns = (Column(self._name, "number", "measured", unit_of(options.field) or "", what),)
 
     def of(self, point: Point) -> Row:
-        """Measure over all ticks of the run."""
+        """Return the quantile over all ticks of the point's run."""
         values = point.run.samples[self._options.field]
         axis = self._options.axis
         taken = np.hypot(*values.T) if axis == "magnitude" else values[:, "xy".index(axis)]

@@ -69,7 +69,7 @@ def parse_measure(given: str | Mapping[str, Json]) -> Measure:
 
 
 def identity_of(given: str | Mapping[str, Json]) -> Json:
-    """Return the options on which results of a measure depend: for example the source of a function, not its path."""
+    """Return the options on which a measure's results depend: of a user's function the source, but not the path."""
     if isinstance(given, str):
         return given
     return {

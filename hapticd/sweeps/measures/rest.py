@@ -25,7 +25,7 @@ class RestOptions(Model):
 class Rest:
     """How the motion of the closed loop ends, without vibration (hapticd.rendering.end_state).
 
-    The column `end` is `rests`, `cycles`, `grows`, or `falls` if the energy of the motion still fell after `longest_s`.
+    The column `end` is `rests`, `cycles`, `grows`, or `falls` (the motion's energy still falls after `longest_s`).
     `rests` is true if `end` is `rests`; `decays` is true if `end` is `rests` or `falls`. Use `decays` to search the
     boundary of stability, close to which a motion takes long to come to rest.
     """
@@ -41,7 +41,7 @@ class Rest:
         self._longest_s = options.longest_s
 
     def of(self, point: Point) -> Row:
-        """Measure the motion after the last waypoint of the hand; the study's `duration_s` is ignored."""
+        """Return how the handle's motion ends after the last waypoint; the study's key `duration_s` is ignored."""
         if point.run_kind != "simulate":
             raise HapticdError("end needs the closed loop: set run: simulate")
         config, operator = point.config, point.operator

@@ -16,7 +16,7 @@ class SweepPoint:
     config: dict[str, Any]
     """The configuration with this point's values, for `hapticd.render` and `hapticd.simulate`."""
     operator: dict[str, Any] | None
-    """The operator, which is the motion of the hand, with this point's values, or None."""
+    """The operator, which is the motion of the hand, with this point's values; None if the study has none."""
     parameters: dict[str, Any]
     """`parameters` of the study, with this point's values."""
     duration_s: float | None

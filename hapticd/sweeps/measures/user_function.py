@@ -74,7 +74,7 @@ class UserFunction:
         return process_of(self._function).values(given, self._timeout_s)
 
     def check(self) -> None:
-        """Raise HapticdError (one line) if the module cannot be loaded or lacks the function."""
+        """Raise HapticdError (one line) if the function's module cannot be loaded or lacks the function."""
         FunctionProcess(self._function).end()
 
 
@@ -84,7 +84,7 @@ def _column(call: str, name: str, unit: str) -> Column:
 
 
 def with_source(options: Mapping[str, Json], folder: str) -> dict[str, Json]:
-    """Return the options with the source of the module added, so that a worker needs no file.
+    """Return the options of a user's function with the source of its module added, so that a worker needs no file.
 
     `folder` is the study's folder. Raises InvalidError, with paths relative to the options.
     """
@@ -101,5 +101,5 @@ def with_source(options: Mapping[str, Json], folder: str) -> dict[str, Json]:
 
 
 def identity_options(options: Mapping[str, Json]) -> dict[str, Json]:
-    """Return the options that results depend on."""
+    """Return the options of a user's function on which results depend."""
     return {key: value for key, value in options.items() if key not in _NON_IDENTITY_OPTIONS}

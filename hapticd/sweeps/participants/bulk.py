@@ -24,7 +24,7 @@ PARTICIPANT_COLUMN: Final = Column("participant", "text", "varied", description=
 
 @dataclass(frozen=True)
 class Sessions:
-    """A piece of a study: the sessions of some participants."""
+    """The sessions of some participants, which one worker computes as one task."""
 
     study: Study
     session: int
@@ -70,7 +70,7 @@ class Participants:
 
     @property
     def title(self) -> str:
-        """Title of the study."""
+        """Title of the experiment's study."""
         return self.study.title
 
     @property
@@ -84,7 +84,7 @@ class Participants:
         return {label: each.tobytes().hex() for label, each in zip(self.labels, self.ids, strict=True)}
 
     def piece(self, indices: npt.NDArray[np.int64]) -> Sessions:
-        """Return the participants with these indices."""
+        """Return the sessions of the participants whose indices in `labels` are `indices`."""
         ids = tuple(each.tobytes().hex() for each in self.ids[indices])
         labels = tuple(self.labels[index] for index in indices.tolist())
         return Sessions(self.study, self.session, self.seed, ids, labels)

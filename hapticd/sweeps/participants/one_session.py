@@ -35,7 +35,7 @@ SESSION_COLUMNS: Final = (
 
 
 def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
-    """Run a session and return the values of SESSION_COLUMNS. Raises HapticdError.
+    """Run the session of a simulated participant and return the values of SESSION_COLUMNS. Raises HapticdError.
 
     Study, participant, session and seed determine these values bit for bit.
     """
@@ -59,7 +59,7 @@ def records_of(row: Row) -> list[Record]:
 
 
 def stage_of(point: str) -> dict[str, Json]:
-    """Return the member `stage` of session.json for the participant with the identity `point`."""
+    """Return the member `stage` (how trials are rendered) of session.json for the participant with identity `point`."""
     return {**OfflineStage().describe(), "simulated": True, "telemetry": False, "point": point}
 
 

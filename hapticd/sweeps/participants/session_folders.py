@@ -61,7 +61,7 @@ class SessionFolders:
         )
 
     def write(self, rows: Iterable[Row]) -> int:
-        """Write the missing session folders of rows that have no error; return their number. Raises HapticdError."""
+        """Write missing session folders of rows without an error; return the number of folders. Raises HapticdError."""
         fresh: list[str] = []
         count = 0
         for row in rows:
@@ -86,7 +86,7 @@ class SessionFolders:
         write_session_tables(folder, synced=False)
 
     def _sync(self, fresh: list[str]) -> None:
-        """Sync the disk, then move the identities in `fresh` to WRITTEN_FILE."""
+        """Sync the disk, then move the identities of participants from `fresh` to WRITTEN_FILE."""
         if not fresh:
             return
         os.sync()
