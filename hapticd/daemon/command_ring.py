@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 COMMAND_TIMEOUT_S: Final = 1.0
 """Time within which the servo must take a command. docs/protocol.md states it."""
 _MAX_PENDING_PLAYS: Final = 4096
-"""Modes of `play` that are kept until they are struck. Must not be less than the capacity of the servo's command ring."""
+"""Modes of `play` that are kept until they are struck: at least the capacity of the servo's command ring."""
 SERVO_POLL_INTERVAL_NS: Final = 50_000_000
 """Interval in which the command thread polls the servo (Engine.poll_servo)."""
 
