@@ -136,7 +136,7 @@ class Dispatch:
             self._answer(request, _too_many_changes, reply)
 
     def queue_reload(self) -> None:
-        """Queue the reload that `ask_reload` or a signal requested. Must be called often, and soon after `wake`."""
+        """Queue the reload that `ask_reload` requested. Must be called often, and soon after `wake`."""
         if self._reload.is_set() and not self._reload_waits:
             self._reload_waits = True
             # The outcome of the reload is logged, also an unexpected error.

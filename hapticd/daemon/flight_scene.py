@@ -45,10 +45,7 @@ class _Base(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """Scene and changes for a file of the flight recorder, copied when the writing begins.
-
-    The writer thread converts them to maps.
-    """
+    """Scene and changes for a flight recorder's file, copied for the writer thread, which converts them to maps."""
 
     revision: int
     rate_hz: float
