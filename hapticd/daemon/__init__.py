@@ -29,7 +29,8 @@ Telemetry and status:
 Questions, and where to begin:
 
     What happens when a method is called?
-        dispatch (take) decodes it; methods (perform, change) validates its params and carries it out on the engine.
+        dispatch (take) decodes the request; methods (perform, change) validates its params and carries it out on the
+        engine.
     How does a scene reach the servo?
         methods (_set_scene), then engine: rendering/compiler/table compiles the changed objects, engine publishes the
         table.

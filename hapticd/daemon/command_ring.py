@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 COMMAND_TIMEOUT_S: Final = 1.0
 """Time within which the servo must take a command. docs/protocol.md states it."""
 _MAX_PENDING_PLAYS: Final = 4096
-"""Plays that are kept until they are struck. Must not be less than the capacity of the servo's command ring."""
+"""Modes of `play` that are kept until they are struck: at least the capacity of the servo's command ring."""
 SERVO_POLL_INTERVAL_NS: Final = 50_000_000
 """Interval in which the command thread polls the servo (Engine.poll_servo)."""
 
@@ -38,7 +38,7 @@ class WaitTimeoutError(HapticdError):
 
 
 class Play(NamedTuple):
-    """A ringing mode that the method `play` strikes, in a form that does not depend on the servo's rate."""
+    """A ringing mode (decaying sinusoid) that the method `play` strikes, independent of the servo's rate."""
 
     mode: Mode
     attack: Attack
@@ -53,17 +53,17 @@ class Play(NamedTuple):
 
 
 class CommandRing:
-    """Sends commands to one servo."""
+    """The command thread's end of the ring through which one servo gets its commands."""
 
     def __init__(self, servo: CData, poll_servo: Callable[[], None]) -> None:
-        """Use the ring of `servo`, and call `poll_servo` while waiting for it."""
+        """Use the command ring of `servo`; while waiting for the servo, call `poll_servo`, which may restart it."""
         self._servo, self._poll_servo = servo, poll_servo
         self._sequence = ffi.new("uint64_t *")
         self._plays: deque[tuple[int, Play]] = deque(maxlen=_MAX_PENDING_PLAYS)
         """Plays that were sent and may not be struck yet, each with the number of its command."""
 
     def new(self, kind: CommandKind, revision: int) -> CData:
-        """Return a `struct hd_command *` that the servo takes once the scene has this revision or a later one."""
+        """Return a new `struct hd_command *`; the servo takes it once its scene has this revision or a later one."""
         command = ffi.new("struct hd_command *")
         command.kind, command.revision = kind, revision
         return command
@@ -94,9 +94,9 @@ class CommandRing:
         )
 
     def wait(self, taken: Callable[[int, CData], int], failure: str) -> int:
-        """Wait until `taken` returns OK, and return the tick that `taken` stored.
+        """Wait until the function `taken` returns OK, and return the tick that it stored.
 
-        `taken` gets the nanoseconds that it may wait, and where to store the tick. Between its calls the servo is
+        `taken` gets the nanoseconds that it may wait, and where to store the tick. Between two calls the servo is
         polled, because only this thread can restart it after an overload. Raises WaitTimeoutError, whose text begins
         with `failure`.
         """
@@ -109,14 +109,14 @@ class CommandRing:
         return int(tick[0])
 
     def played(self) -> Iterator[Played]:
-        """Yield the modes that the servo has struck since the last call, in their order."""
+        """Yield the ringing modes of `play` that the servo has struck since the last call, in their order."""
         tick = ffi.new("uint64_t *")
         while self._plays and lib.hd_servo_wait_command(self._servo, self._plays[0][0], 0, tick) == Status.OK:
             _, play = self._plays.popleft()
             yield Played(int(tick[0]), play.mode, play.attack, play.direction, play.amplitude_m_per_s2)
 
     def set_output(self, output: Output) -> None:
-        """Convert the plays that are not struck yet to the rate of `output`. The servo's thread must have ended."""
+        """Convert modes of `play` that are not struck yet to the rate of `output`. The servo thread must have ended."""
         for sequence, play in self._plays:
             mode = ffi.new("struct hd_mode *", play.record(output))
             if lib.hd_servo_retune(self._servo, sequence, mode) != Status.OK:

@@ -73,7 +73,7 @@ class Histogram(NamedTuple):
     max_ns: int
 
     def to_dict(self) -> dict[str, object]:
-        """Return the histogram as a map of the status, in ns."""
+        """Return the histogram as a map for the result of `get_status`, with bin edges in ns."""
         return {"edges": list(self.edges_ns), "counts": self.counts, "sum": self.sum_ns, "max": self.max_ns}
 
 
@@ -89,7 +89,7 @@ class Counters(NamedTuple):
     glitches: int
     saturations: int
     overloads: int
-    """Seconds in which more periods than the threshold were missed."""
+    """Number of seconds in which the servo missed more periods than the threshold in `servo.overruns`."""
     suspends: int
     """Number of times that the machine was suspended."""
     revision: int
@@ -108,7 +108,7 @@ class Counters(NamedTuple):
     """Energy that the touched objects gave to the hand in the current or last contact, according to the passivity
     observer. Negative: the hand gave more than it got."""
     largest_j: float
-    """The largest `energy_j` of any contact."""
+    """The largest energy of any contact in J, counted like `energy_j`."""
     contacts: int
     """Number of contacts, each from the first touch to the last release."""
     restrained: int
@@ -118,12 +118,12 @@ class Counters(NamedTuple):
 
     @property
     def faults(self) -> Fault:
-        """The latched faults."""
+        """The latched faults: those that keep the forces off until forces are turned on again."""
         return Fault(self.latched) if self.latched else _NO_FAULT
 
     @property
     def signs(self) -> SignsStatus:
-        """State of the check of a HID device's axis signs."""
+        """State of the check that a HID device's force along an axis moves the handle in the same direction."""
         return SignsStatus.read(self.signs_word)
 
 

@@ -30,15 +30,15 @@ from hapticd.system import notify
 from hapticd.system.repeated_lines import Repeats
 
 MAX_WAITING_CHANGES: Final = 64
-"""Changes that may wait for their turn. docs/protocol.md states it."""
+"""Requested changes of scene or configuration that may wait to be carried out. docs/protocol.md states it."""
 MAX_WAITING_CHANGE_BYTES: Final = 2 * messages.MAX_BODY_BYTES
 """Largest size of the bodies of all waiting changes together."""
 CHANGE_SLICE_NS: Final = 5_000_000
-"""Time that a change runs before other requests are served; its current step is finished first."""
+"""Time that a change runs before other requests are served; it stops at its next pause (step)."""
 BEAT_INTERVAL_S: Final = 0.1
 """Longest time between two heartbeats. A servo that gets none for a second fades the forces out."""
 CHORES_INTERVAL_S: Final = 0.02
-"""Interval of heartbeat, servo poll, log and slices of changes while requests come without a pause."""
+"""Interval of heartbeat, servo poll, log and continued changes while requests come without a pause."""
 
 _log = logging.getLogger("hapticd.server")
 
@@ -59,7 +59,7 @@ class _Change:
     """Whether the change is in force or was refused."""
 
     def run_slice(self) -> Result | None:
-        """Run steps for CHANGE_SLICE_NS, and return the result, or None if steps remain.
+        """Continue the change for CHANGE_SLICE_NS, and return its result, or None if it is not complete.
 
         Raises MethodError if the change is refused.
         """
@@ -77,12 +77,12 @@ class _Change:
 
 
 class Dispatch:
-    """Answers requests. All methods but `ask_reload` are for the command thread."""
+    """Answers requests to the command socket. All methods but `ask_reload` are for the command thread."""
 
     def __init__(
         self, methods: Methods, repeats: Repeats | None = None, wake: Callable[[], None] = lambda: None
     ) -> None:
-        """Answer requests with `methods`.
+        """Answer requests to the command socket with `methods`.
 
         `repeats` limits how often the log reports errors of clients. `wake`, which any thread may call, makes the
         command thread call `queue_reload`.
@@ -98,7 +98,7 @@ class Dispatch:
 
     @property
     def busy(self) -> bool:
-        """Whether a change is under way or waits, so that `continue_change` must be called soon."""
+        """Whether a change of scene or configuration is under way or waits: `continue_change` must be called soon."""
         return bool(self._changes)
 
     def ask_reload(self) -> None:
@@ -136,14 +136,14 @@ class Dispatch:
             self._answer(request, _too_many_changes, reply)
 
     def queue_reload(self) -> None:
-        """Queue a requested reload. Must be called often, and soon after `wake`."""
+        """Queue the reload that `ask_reload` requested. Must be called often, and soon after `wake`."""
         if self._reload.is_set() and not self._reload_waits:
             self._reload_waits = True
             # The outcome of the reload is logged, also an unexpected error.
             self._add(_Change(messages.Request(0, True, "reload", {}), self._reloading(), _notify_ready, 0))
 
     def continue_change(self) -> None:
-        """Continue the change that is under way, or begin the next one."""
+        """Continue the change of scene or configuration that is under way, or begin the next one."""
         if self._changes:
             change = self._changes[0]
             self._answer(change.request, change.run_slice, change.reply)
@@ -151,7 +151,7 @@ class Dispatch:
                 self._changes.popleft()
 
     def _has_room(self, size: int) -> bool:
-        """Return whether one more change, with a body of `size` bytes, may wait."""
+        """Return whether one more requested change, with a body of `size` bytes, may wait."""
         waiting = size + sum(change.size for change in self._changes)
         return not self._changes or (len(self._changes) < MAX_WAITING_CHANGES and waiting <= MAX_WAITING_CHANGE_BYTES)
 
@@ -167,7 +167,7 @@ class Dispatch:
         return (yield from self._methods.change("reload", {}))
 
     def _answer(self, request: messages.Request, perform: Callable[[], Result | None], reply: Reply) -> None:
-        """Answer a request with the result or the error of `perform`, or not yet if it returns None: steps remain."""
+        """Answer a request with the result or the error of `perform`; None means that the change is not complete."""
         try:
             result = perform()
             if result is None:
@@ -213,7 +213,7 @@ def serve(
     stop: threading.Event,
     between: Callable[[], None] = lambda: None,
 ) -> None:
-    """Answer requests until `stop` is set, and call `between` at least ten times a second."""
+    """Answer requests to the command socket until `stop` is set; call `between` at least ten times a second."""
     repeats = dispatch.repeats
     due_s = 0.0
     while not stop.is_set():

@@ -99,11 +99,11 @@ _log = logging.getLogger("hapticd")
 
 
 class StaleRevisionError(HapticdError):
-    """A change names an expected revision that is not in force; the change was not made."""
+    """A change names an expected revision (number of a change) that is not in force; the change was not made."""
 
 
 class State(NamedTuple):
-    """Scene, materials and revision in force at one moment."""
+    """Scene, materials and revision (number of the last change) in force at one moment."""
 
     scene: Scene
     materials: Materials
@@ -111,7 +111,7 @@ class State(NamedTuple):
 
 
 class Engine:
-    """A servo with its device and its scene."""
+    """A servo with its device, its scene and the table compiled from the scene."""
 
     def __init__(self, config: Config, stop_file: StopFile | None = None) -> None:
         """Open the device, make the servo and compile the configuration's scene; no thread runs yet.
@@ -151,7 +151,7 @@ class Engine:
             raise
 
     def _make(self) -> None:
-        """Open the device, and make the servo for it."""
+        """Open the configured device, and make the servo for the device."""
         config, servo = self.config, self.config.servo
         sim = config.device.sim
         resolution_m, report_age_s = sim.encoder_step_m, sum(sim.reports_s)
@@ -218,7 +218,7 @@ class Engine:
         return None if loop is None else SurfaceMargins(loop)
 
     def _overrun_action(self, rate_hz: float) -> OverrunAction:
-        """Return the action on an overload at this rate: a fault if a step down would go below the minimum rate."""
+        """Return the configured action on an overload, but a fault if half of `rate_hz` is below the minimum rate."""
         action = OverrunAction[self.config.servo.overruns.action.upper()]
         if action == OverrunAction.STEP_DOWN and rate_hz < 2.0 * MIN_STEP_DOWN_RATE_HZ:
             return OverrunAction.FAULT
@@ -278,7 +278,7 @@ class Engine:
         return self.granted
 
     def stop(self) -> None:
-        """Fade the force to zero within the ramp time, end the servo thread and close the device."""
+        """Fade the device's force to zero within the ramp time, end the servo thread and close the device."""
         self._idle_lock.release()
         ended = lib.hd_servo_stop(self._servo)
         self._disconnect()
@@ -290,7 +290,7 @@ class Engine:
             self.connection.stop()
 
     def beat(self) -> None:
-        """Send the servo a heartbeat of the command thread; without one for a second the forces fade out."""
+        """Send the servo a heartbeat of the command thread; after a second without a heartbeat the forces fade out."""
         lib.hd_servo_beat(self._servo)
 
     # ---- Supervision of the servo --------------------------------------------------------------------------------
@@ -298,7 +298,7 @@ class Engine:
     def poll_servo(self) -> None:
         """Restart the servo after an overload, and check the device after a suspend, at most every 50 ms.
 
-        The command thread calls it often. Raises HapticdError if the servo cannot be restarted.
+        The command thread calls this method often. Raises HapticdError if the servo cannot be restarted.
         """
         now_ns = monotonic_ns()
         if now_ns < self._poll_due_ns:
@@ -315,7 +315,7 @@ class Engine:
             self._step_down()
 
     def _step_down(self) -> None:
-        """Restart the servo at half its rate or, if that is impossible, at the same rate with a fault."""
+        """Restart the servo after an overload: at half its rate or, if that is impossible, at its rate with a fault."""
         before, after = self.output, self._output_at(0.5 * self.rate_hz)
         refused = rate_faults(self.scene.objects, self.materials, after)
         problem = str(InvalidError(refused)) if refused else None
@@ -332,7 +332,7 @@ class Engine:
         self._apply_grant(lib.hd_servo_restart(self._servo, faults, grant), grant)
 
     def _change_rate(self, output: Output) -> None:
-        """Set the rate of a servo whose thread has ended. If it raises HapticdError, another rate must be set."""
+        """Set the rate of a servo whose thread has ended. After a HapticdError, another rate must be set."""
         rate_hz = output.rate_hz
         changed_hz = None if rate_hz == self.rate_hz else rate_hz
         if lib.hd_servo_set_rate(self._servo, rate_hz, self._overrun_action(rate_hz)) != Status.OK:
@@ -379,8 +379,8 @@ class Engine:
         """Compute the slow parts of the next change in steps, mainly filters of textures, and return material reports.
 
         `materials` are those after the change, `sent` the names of those that the request contains. The reports are of
-        the materials of `objects`, of those in `sent` and of those that the change affects. It pauses after each filter
-        and each material. Call `forget_prepared` once the change is made or given up.
+        the materials of `objects`, of those in `sent` and of those that the change affects. Each step computes one
+        filter or one material. Call `forget_prepared` once the change is made or given up.
         """
         reports = {}
         for name in dict.fromkeys([*sent, *used_materials(objects), *self._compiler.changing(materials)]):
@@ -393,11 +393,11 @@ class Engine:
         return reports
 
     def forget_prepared(self) -> None:
-        """Release what `prepared` computed: the change is made or given up."""
+        """Release the filters that `prepared` computed for a change which is now made or given up."""
         self._compiler.forget_prepared()
 
     def wait_revision(self, revision: int) -> int:
-        """Wait for the first tick rendered with this revision or a later one, and return it.
+        """Wait for the first tick rendered with this revision of the scene or a later one, and return the tick.
 
         Raises WaitTimeoutError.
         """
@@ -407,7 +407,7 @@ class Engine:
         )
 
     def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
-        """Return the vibrations of too high a frequency, and warnings of inexact display. For any thread."""
+        """Return vibrations of too high a frequency for the rate, and warnings of inexact display. For any thread."""
         scene, materials, _ = self.state
         objects = of_all_materials(scene.objects)
         reports = {name: self.report_of(name, each) for name, each in materials_in(objects, materials).items()}
@@ -426,7 +426,7 @@ class Engine:
         return known
 
     def played(self) -> set[tuple[str, str]]:
-        """Return the pairs of material and mode that the device plays. For any thread."""
+        """Return the pairs of material and ringing mode that the device plays as effects. For any thread."""
         return {(each.material, each.mode) for each in self.offloaded() if each.refused is None}
 
     @property
@@ -435,7 +435,7 @@ class Engine:
         return 0 if self._offload is None else self._offload.version
 
     def offloaded(self) -> list[Offloaded]:
-        """Return for each tap and rupture whether the device plays it, or why not. For any thread."""
+        """Return for each tap and rupture whether the device plays its vibration, or why not. For any thread."""
         if self._offload is None:
             return []
         return self._offload.outcomes(materials_in(self.scene.objects, self.materials))
@@ -460,7 +460,7 @@ class Engine:
     def events_read(self, revision: int) -> None:
         """Release the names of objects that were removed before this revision.
 
-        Call it once all events up to the tick of a sample of this revision were read.
+        Call this method once all events up to the tick of a sample of this revision were read.
         """
         self._compiler.events_read(revision)
 
@@ -482,7 +482,7 @@ class Engine:
     def play(
         self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
     ) -> tuple[int, float | None]:
-        """Strike a mode, and return the tick that took it and the frequency displayed (None: it is too high).
+        """Strike a ringing mode; return the tick that took it and the displayed frequency (None: too high).
 
         After a WaitTimeoutError the mode may still be struck, at the rate that the servo has then.
         """
@@ -512,7 +512,7 @@ class Engine:
         return tick, None if shown is None else shown.frequency_hz
 
     def reset(self, ids: Iterable[str] | None) -> int:
-        """Heal membranes and clear the contact state of `ids`, or of all objects; return the tick that did it."""
+        """Heal membranes and clear the contact state of objects (None: of all); return the tick that did so."""
         commands = []
         ids = None if ids is None else tuple(ids)
         if ids is None:
@@ -553,7 +553,7 @@ class Engine:
         return tick
 
     def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None:
-        """Send the servo a new target of the simulated hand, m, or a force, N. It replaces the one before.
+        """Send the servo a new target of the simulated hand, m, or a force, N. The new value replaces the last.
 
         Raises HapticdError for a number that is not finite, and for a target beyond 1000 m or without a simulated hand.
         """
@@ -561,13 +561,13 @@ class Engine:
             raise HapticdError(invalid_reason())
 
     def stream_counters(self, kind: StreamKind) -> StreamCounters:
-        """Return the servo's counters of a stream. For any thread."""
+        """Return the servo's counters of the stream of targets or of forces. For any thread."""
         return read_stream_counters(self._servo, kind)
 
     def operator(self) -> dict[str, object] | None:
         """Return the first tick of the last `set_operator`, and the last events `gesture_end`. For any thread.
 
-        None without a simulated hand.
+        Returns None without a simulated hand.
         """
         if self._sim is None:
             return None
@@ -583,9 +583,9 @@ class Engine:
         self._gesture_ends.append(event)
 
     def mark(self, mark: Mark) -> int:
-        """Have the servo emit an event for a mark, and return the tick that took it.
+        """Have the servo emit an event for a mark (a client's note); return the tick that took the mark.
 
-        It works with forces off and with latched faults. Raises RingFullError, WaitTimeoutError.
+        This works with forces off and with latched faults. Raises RingFullError, WaitTimeoutError.
         """
         try:
             number = self._marks.add(mark)
@@ -602,11 +602,11 @@ class Engine:
             raise
 
     def take_mark(self, number: int) -> Mark:
-        """Return the mark of an event and release it. For the thread that reads events."""
+        """Return the mark that an event names by `number`, and release the mark. For the thread that reads events."""
         return self._marks.take(number)
 
     def set_lease(self, deadline_ns: int) -> None:
-        """Set the time (CLOCK_MONOTONIC) at which the forces fade out; 0: no lease."""
+        """Set the end of a client's lease (CLOCK_MONOTONIC), at which the forces fade out; 0: no lease."""
         lib.hd_servo_set_lease(self._servo, deadline_ns)
 
     def _command(self, kind: CommandKind) -> CData:
@@ -615,7 +615,7 @@ class Engine:
     # ---- Telemetry -------------------------------------------------------------------------------------------------
 
     def counters(self) -> Counters:
-        """Return the servo's counters."""
+        """Return the servo's counters since its start."""
         return read_counters(self._servo)
 
     def histograms(self) -> tuple[Histogram, Histogram]:
@@ -623,20 +623,20 @@ class Engine:
         return read_histograms(self._servo)
 
     def read_changes(self) -> Iterator[Change]:
-        """Yield the changes that commands made since the last call. Only one thread may call it."""
+        """Yield the changes, plays and resets that commands made since the last call. Only one thread may call it."""
         with suppress(IndexError):
             while True:
                 yield self._changes.popleft()
 
     def read_samples(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move samples into `buffer` (SAMPLE_DTYPE); return their number and the total of samples dropped.
+        """Move samples from the servo into `buffer` (SAMPLE_DTYPE); return their number and the total dropped.
 
         For one thread at a time; another may read events at the same time.
         """
         return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, buffer)
 
     def read_events(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move events into `buffer` (EVENT_DTYPE); return their number and the total of events dropped."""
+        """Move events from the servo into `buffer` (EVENT_DTYPE); return their number and the total dropped."""
         return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, buffer)
 
     def touching(self) -> list[str]:
@@ -663,7 +663,7 @@ class Engine:
 
 
 def source_of(device: Device) -> Source:
-    """Return the source of a configured device that is not simulated."""
+    """Return the source of positions for a configured device that is not simulated."""
     from hapticd.hid import sources
 
     return sources.source_of(device)

@@ -1,6 +1,6 @@
 """The flight recorder: keeps the last seconds of samples and events, and writes them on a fault or on request.
 
-The telemetry thread passes it all samples and events. Samples are kept in a circular array of fixed size (1.1 MB a
+The telemetry thread passes all samples and events to it. Samples are kept in a circular array of fixed size (1.1 MB a
 second at 10 kHz); flight_scene.py keeps their scene, so that a file suffices to render them again. A separate thread
 writes a copy of the array, so that no other thread waits for the disk. The file of a fault is begun FAULT_AFTERMATH_S
 after the fault, so that it shows the consequences.
@@ -48,7 +48,7 @@ _log = logging.getLogger("hapticd")
 
 @dataclass(frozen=True, slots=True)
 class _PendingFile:
-    """A requested file, which is written once the time is `due_ns`."""
+    """A requested file of the flight recorder, which is written once the time is `due_ns`."""
 
     path: Path
     reason: str
@@ -59,7 +59,7 @@ class _PendingFile:
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """A file and its content, for the writer thread."""
+    """A file of the flight recorder and its content, for the thread that writes it."""
 
     file: _PendingFile
     samples: npt.NDArray[np.void]
@@ -118,7 +118,7 @@ class Flight:
     # ---- The telemetry thread --------------------------------------------------------------------------------------
 
     def keep_samples(self, samples: npt.NDArray[np.void]) -> None:
-        """Copy a batch of samples, of SAMPLE_DTYPE and shape (n,), into the array."""
+        """Copy a batch of samples, of SAMPLE_DTYPE and shape (n,), into the circular array."""
         most = len(self._samples)
         batch = samples[-most:].view(_OPAQUE_SAMPLE_DTYPE)
         place = self._count % most
@@ -134,7 +134,7 @@ class Flight:
             self._moments.popleft()
 
     def keep_change(self, change: Change) -> None:
-        """Keep a change that a command made."""
+        """Keep a change of the scene, a play or a reset that a command made."""
         self._scene.take(change)
 
     def keep_event(self, event: dict[str, object]) -> None:
@@ -154,7 +154,7 @@ class Flight:
             self._request("fault", tick, now_ns + round(FAULT_AFTERMATH_S * 1e9))
 
     def hand_over_due(self, kept_ns: int) -> None:
-        """Pass the files that are due to the writer. `kept_ns`: the time up to which all telemetry has been drained."""
+        """Pass the requested files that are due at `kept_ns` to the writer thread. Telemetry is drained up to then."""
         if kept_ns - self._moments[-1].monotonic_ns >= CLOCK_READ_INTERVAL_NS:
             self._moments.append(self._read_clock())
         if not self._pending:
@@ -176,7 +176,7 @@ class Flight:
         return self._scene.knows(int(newest["revision"]))
 
     def finish(self) -> None:
-        """Pass all pending files to the writer, after the last samples."""
+        """Pass all requested files to the writer thread, after the last samples were kept."""
         with self._lock:
             due, self._pending = self._pending, []
         self._hand_over(due)
@@ -194,7 +194,7 @@ class Flight:
     def dump(self) -> Path:
         """Request a file of the kept samples and events, and return its path.
 
-        The file exists once it is complete. Until it is begun, further requests return the same path.
+        The file exists once it is complete. Until its writing begins, further requests return the same path.
         """
         with self._lock:
             waiting = next((file.path for file in self._pending if file.reason == "asked"), None)
@@ -226,7 +226,7 @@ class Flight:
     # ---- The writer ------------------------------------------------------------------------------------------------
 
     def run(self, stop: threading.Event) -> None:
-        """Write files until `wake` is called; files passed before that are still written."""
+        """Write requested files until `wake` is called; files passed before that are still written."""
         while True:
             try:
                 job = self._jobs.get(timeout=MIN_REPEAT_INTERVAL_S)
@@ -262,7 +262,7 @@ class Flight:
         )
 
     def wake(self) -> None:
-        """End `run` once it has written the files that were passed before."""
+        """End `run`, the writer thread, once it has written the files that were passed before."""
         self._jobs.put(None)
 
     def _write(self, job: _Job) -> None:
@@ -299,7 +299,7 @@ class Flight:
 
 
 def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:
-    """Return the member `recording` of a file: counts, times and gaps, as in recordings."""
+    """Return the member `recording` of a file of the flight recorder: counts, times and gaps, as in recordings."""
     samples, history = job.samples, job.history
     ticks, times = samples["tick"].astype(np.int64), samples["time_ns"]
     rates = rates_of(samples, changes, history.rate_hz)
@@ -321,7 +321,7 @@ def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:
 
 
 def directory_of(configured: str | None, runtime: Path, environ: Mapping[str, str] | None = None) -> Path:
-    """Return the directory of the files: as configured, else systemd's state directory, else the runtime directory."""
+    """Return the directory for flight files: the configured, else systemd's state, else the runtime directory."""
     environ = os.environ if environ is None else environ
     state = environ.get("STATE_DIRECTORY", "").split(":")[0]
     return Path(configured or state or runtime).absolute()

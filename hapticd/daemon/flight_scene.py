@@ -1,7 +1,7 @@
 """The scene at the oldest sample that the flight recorder keeps, and the changes since.
 
-Only the telemetry thread calls it. Memory is bounded: if more changes than MAX_KEPT_CHANGES come within the seconds
-that are kept, the oldest are applied to the scene. Samples from before these changes cannot be rendered again.
+Only the telemetry thread uses this module. Memory is bounded: if more changes than MAX_KEPT_CHANGES come within the
+seconds that are kept, the oldest are applied to the scene. Samples from before these changes cannot be rendered again.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from hapticd.protocol.changes import (
 )
 
 MAX_KEPT_CHANGES: Final = 4000
-"""Largest sum over the kept changes: 1 each, the `part_count` of its parts, and the number of ids that it resets."""
+"""Largest sum over the kept changes: 1 each, plus the `part_count` of its parts, plus the number of its reset ids."""
 
 
 class _Base(NamedTuple):
-    """A scene as maps, which changes are applied to one by one."""
+    """The scene at the oldest kept sample, as maps, to which changes are applied one by one."""
 
     shown: dict[str, object]
     objects: dict[str, SceneObject]
     materials: dict[str, Material]
 
     def is_too_large(self) -> bool:
-        """Return whether the scene exceeds the limits of a file."""
+        """Return whether the scene exceeds the limits of a file of the flight recorder."""
         everything = chain(self.objects.values(), self.materials.values())
         return len(self.objects) > MAX_FLIGHT_OBJECTS or sum(map(part_count, everything)) > MAX_FLIGHT_PARTS
 
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """Scene and changes for a file, copied when the file became due; the writer thread converts them to maps."""
+    """Scene and changes for a flight recorder's file, copied for the writer thread, which converts them to maps."""
 
     revision: int
     rate_hz: float
@@ -56,7 +56,7 @@ class History:
     """The tick from which `changes` has every play and reset."""
 
     def texts(self) -> dict[str, object]:
-        """Return `scene` and `materials` at the beginning, as in recordings; None if they are too large or unknown."""
+        """Return `scene` and `materials` at the oldest sample, as in recordings; None if too large or unknown."""
         if self.base is None:
             return {"scene": None, "materials": None}
         objects = {id: item.to_dict() for id, item in self.base.objects.items()}
@@ -65,7 +65,7 @@ class History:
         return {"scene": {**shown, "objects": objects}, "materials": materials}
 
     def change_maps(self) -> list[dict[str, object]]:
-        """Return `changes` as in recordings; the first entry has the revision and the rate at the beginning."""
+        """Return `changes` as in recordings; the first entry has the revision and the rate at the oldest sample."""
         first: dict[str, object] = {"revision": self.revision, "rate_hz": self.rate_hz}
         return [first, *map(change_map, self.changes)]
 
@@ -83,7 +83,7 @@ class FlightScene:
     """Keeps the changes that belong to samples that are still kept, and the scene before them."""
 
     def __init__(self, scene: Scene, materials: Materials, revision: int, rate_hz: float) -> None:
-        """Begin with the scene, the materials and the rate in force."""
+        """Begin with the scene, the materials, the revision (number of the last change) and the rate in force."""
         self._rate_hz = rate_hz
         self._revision = revision
         self._base = _base_of(scene, materials)
@@ -96,7 +96,7 @@ class FlightScene:
         """The newest known revision."""
 
     def take(self, change: Change) -> None:
-        """Add a change that a command made."""
+        """Add a change of the scene, a play or a reset that a command made."""
         if isinstance(change, Revised):
             if change.complete is not None:
                 # The change has a complete scene, which replaces everything before it.
@@ -119,7 +119,7 @@ class FlightScene:
             self._drop()
 
     def knows(self, revision: int) -> bool:
-        """Return whether the change to this revision has come; it may come after the first sample rendered with it."""
+        """Return whether the change to `revision` was added; it may come after the first sample with that revision."""
         return _ahead(self.newest, revision) >= 0
 
     def history(self) -> History:

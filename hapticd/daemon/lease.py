@@ -15,7 +15,7 @@ MAX_LEASE_DURATION_S: Final = 3600.0
 
 
 class LeaseHeldError(Exception):
-    """Another client holds the lease (Code.LEASE_HELD)."""
+    """Another client holds the lease, on which the forces depend (Code.LEASE_HELD)."""
 
 
 class LeaseLapsedError(Exception):
@@ -23,7 +23,10 @@ class LeaseLapsedError(Exception):
 
 
 class Lease:
-    """At most one lease at a time; times in nanoseconds of `clock`."""
+    """The lease of one client, or none. While a lease is held, forces stay on only until its deadline.
+
+    The holder knows a secret token and renews the lease with it. Times are in nanoseconds of `clock`.
+    """
 
     def __init__(self, set_deadline: Callable[[int], None], clock: Callable[[], int]) -> None:
         """Use `set_deadline` to set the time at which the servo fades the forces out; 0: never."""
@@ -41,7 +44,7 @@ class Lease:
         return remaining if remaining > 0 else None
 
     def request(self, duration_s: float, token: str | None) -> str | None:
-        """Take, renew or, with a duration of 0, end the lease; return its token, or None once it is ended.
+        """Take, renew or, with a duration of 0, end the lease on the forces; return its token, None after its end.
 
         Raises LeaseHeldError while another token holds it, LeaseLapsedError for a token that holds no lease.
         """

@@ -86,13 +86,13 @@ class _Proposed(NamedTuple):
     root: Path = ()
     """The place of `objects` in the request, for error messages."""
     sent: Collection[str] = ()
-    """Names of the materials that the request contains."""
+    """Names of those materials that the request contains."""
     changed: Collection[str] | None = ()
     """Ids of the objects that may differ or are removed; None: all objects must be compared."""
 
 
 class _Changed(NamedTuple):
-    """A change that is in force, or will be from the next tick on."""
+    """A change of scene or materials that is in force, or will be from the next tick on."""
 
     revision: int
     wait: bool
@@ -113,12 +113,12 @@ _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 
 
 def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
-    """Return the result with a member `warnings` if there are any."""
+    """Return the result of a method with a member `warnings` if there are any."""
     return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
 
 
 def _with_margins(result: dict[str, object], margins: dict[str, float | None] | None) -> dict[str, object]:
-    """Return the result with a member `margins` if they are known."""
+    """Return the result of a method with a member `margins`, the stability margins of surfaces, if they are known."""
     return result if margins is None else {**result, "margins": margins}
 
 
@@ -178,7 +178,7 @@ class Methods:
             return _with_warnings(_with_margins(result, changed.margins), changed.warnings)
 
     def _handled(self, method: str, params: Mapping[str, object]) -> Result | Steps[_Changed]:
-        """Validate the params, call the handler and return what it returns.
+        """Validate the params of a method, and return the result of its handler.
 
         Raises MethodError, and the errors that `_refusals` converts.
         """
@@ -213,7 +213,7 @@ class Methods:
             raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
 
     def stream(self, method: str, params: Mapping[str, object], sender: object) -> dict[str, object]:
-        """Run a method of a stream for the connection `sender`, and count a refused message. Raises MethodError."""
+        """Take a streamed target or force of the connection `sender`, and count a refused one. Raises MethodError."""
         self._sender = sender
         try:
             return cast("dict[str, object]", self.perform(method, params))
@@ -267,7 +267,7 @@ class Methods:
         return (yield from self._take(params, new))
 
     def _take(self, params: ChangeParams, new: _Proposed) -> Steps[_Changed]:
-        """Compile a proposed change and put it in force at one tick. Raises InvalidError, StaleRevisionError."""
+        """Compile a scene and its materials, put both in force at one tick. Raises InvalidError, StaleRevisionError."""
         engine, output = self._engine, None
         # Between two steps the servo may have stepped down to another rate.
         while output is not engine.output:
@@ -337,7 +337,7 @@ class Methods:
         return (yield from self._take(params, _Proposed(engine.scene, materials, sent=patched)))
 
     def _apply(self, params: ApplyParams) -> Steps[_Changed]:
-        """Change materials and scene at one tick, or neither; report the problems of both."""
+        """Change materials and scene at one tick, or neither of them; report the problems of both."""
         engine = self._engine
         problems: list[Problem] = []
         has_scene = "scene" in params.model_fields_set
@@ -360,7 +360,7 @@ class Methods:
         return (yield from self._take(params, new))
 
     def _reload(self, params: ReloadParams) -> Steps[_Changed]:
-        """Reload the configuration; refuse all of it if any change needs a restart."""
+        """Reload the configuration; refuse the reload if any changed key needs a restart."""
         engine = self._engine
         if self._load is None:
             raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")

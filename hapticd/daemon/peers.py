@@ -1,7 +1,8 @@
 """A listening Unix socket and its ZeroMQ peers, for one thread, without libzmq (docs/adr/0024).
 
-No peer can use more than its share of descriptors, memory and turns: one that exceeds a limit is disconnected, and the
-log names its process and user. `router.py` and `publisher.py` are the command and the telemetry socket.
+A turn serves one peer: at most one read and one message. No peer can use more than its share of descriptors, memory and
+turns: a peer that exceeds a limit is disconnected, and the log names its process and user. `router.py` and
+`publisher.py` are the command and the telemetry socket.
 """
 
 from __future__ import annotations
@@ -54,16 +55,16 @@ class Limits:
     connections: int = MAX_SOCKET_CONNECTIONS
     process_connections: int = MAX_SOCKET_CONNECTIONS // 4
     buffers: int = 96 * 1024 * 1024
-    """Most bytes of all peers together in incomplete messages and in unread answers."""
+    """Most bytes in incomplete messages and in unread answers, of all peers together."""
 
     def of(self, connections: int) -> Limits:
-        """Return the same limits for a different number of connections."""
+        """Return these limits with a different number of connections."""
         return replace(self, connections=connections, process_connections=max(4, connections // 4))
 
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """A connected peer. `held`: the bytes that it uses of Limits.buffers."""
+    """A connected ZeroMQ peer. `held`: the bytes that the peer uses of Limits.buffers."""
 
     sock: socket.socket
     uid: int
@@ -100,7 +101,7 @@ class TurnQueue:
         return bool(self._users)
 
     def add(self, waiting: Peer) -> None:
-        """Add a peer behind the others of its process."""
+        """Add a peer behind the other waiting peers of its process."""
         processes = self._users.get(waiting.uid)
         if processes is None:
             processes = self._users[waiting.uid] = OrderedDict()
@@ -110,7 +111,7 @@ class TurnQueue:
         queue.append(waiting)
 
     def next(self) -> Peer:
-        """Remove and return the peer whose turn it is. Raises KeyError if the queue is empty."""
+        """Remove and return the peer to serve next. Raises KeyError if the queue is empty."""
         uid, processes = self._users.popitem(last=False)
         pid, queue = processes.popitem(last=False)
         found = queue.popleft()
@@ -122,7 +123,7 @@ class TurnQueue:
 
 
 class Peers:
-    """All peers of one socket."""
+    """All ZeroMQ peers of one listening socket."""
 
     kind: bytes
     """ZMTP socket type of this side."""
@@ -177,7 +178,7 @@ class Peers:
     # ---- turns -----------------------------------------------------------------------------------------------------
 
     def _turn(self, timeout_s: float) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
-        """Wait for events, unless a peer already waits for a turn, and give one peer its turn.
+        """Wait for events, unless a peer already waits, and serve one peer.
 
         Returns the peer and its message or command if the subclass must handle it.
         """
@@ -223,7 +224,7 @@ class Peers:
             self._turns.add(peer)
 
     def _next(self, peer: Peer) -> zmtp.Event | None:
-        """Return the next event of a peer, after at most one read. Raises ZmtpError."""
+        """Return the next event of a peer's ZMTP stream, after at most one read. Raises ZmtpError."""
         event = peer.parser.next()
         if event is None and peer.readable and self._read(peer):
             event = peer.parser.next()
@@ -248,7 +249,7 @@ class Peers:
         return True
 
     def _handle_protocol(self, peer: Peer, event: zmtp.Event) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
-        """Handle the handshake and heartbeats, and return other messages and commands. Raises ZmtpError."""
+        """Handle the ZMTP handshake and heartbeats; return other messages and commands. Raises ZmtpError."""
         match event:
             case zmtp.Message():
                 if not peer.ready:
@@ -280,7 +281,7 @@ class Peers:
     # ---- sending ---------------------------------------------------------------------------------------------------
 
     def _send(self, peer: Peer, data: bytes, *more: bytes) -> None:
-        """Send bytes after the earlier ones; what the peer does not accept at once is queued."""
+        """Send bytes to a peer after the earlier ones; bytes that the peer does not accept at once are queued."""
         if peer.closed:
             return
         if peer.out:
@@ -299,7 +300,7 @@ class Peers:
             self._keep(peer, more)
 
     def _keep(self, peer: Peer, unsent: Iterable[bytes | memoryview]) -> None:
-        """Queue data behind what the peer has not accepted yet."""
+        """Queue data behind the data that the peer has not accepted yet."""
         if not peer.out:
             self._epoll.modify(peer.sock, _READ_AND_WRITE_EVENTS)
         for data in unsent:
@@ -336,7 +337,7 @@ class Peers:
         self._account(peer)
 
     def _refill(self, peer: Peer) -> None:
-        """Queue more data, if there is any. Called once everything queued was sent."""
+        """Queue more data for a peer, if there is any. Called once all its queued data was sent."""
 
     # ---- connecting ------------------------------------------------------------------------------------------------
 
@@ -369,7 +370,7 @@ class Peers:
         self._epoll.register(descriptor, _READ_EVENTS)
 
     def _end(self, peer: Peer, why: str | None = None) -> None:
-        """Close a connection. `why`: the reason that the log gives; None: nothing is logged."""
+        """Close the connection of a peer. `why`: the reason that the log gives; None: nothing is logged."""
         if peer.closed:
             return
         peer.closed = True
@@ -417,7 +418,7 @@ class Peers:
         return next(reversed(max(processes.values(), key=len).values()))
 
     def _account(self, peer: Peer) -> None:
-        """Update the memory that a peer uses; while all use over Limits.buffers, end the peer that uses most."""
+        """Update the memory that a peer uses; while all peers use over Limits.buffers, end the peer that uses most."""
         held = peer.parser.held + peer.unsent
         if held == peer.held or peer.closed:
             return

@@ -192,7 +192,7 @@ def _await_end(signals: socket.socket, dispatch: Dispatch) -> signal.Signals:
 
 
 def _log_end(kind: type[BaseException] | None, *_: object) -> None:
-    """Log the last line, once everything has stopped; an error is logged elsewhere."""
+    """Log the end of the daemon, once all threads have stopped; an error is logged elsewhere."""
     if kind is None:
         _log.info("stopped")
 
@@ -222,7 +222,7 @@ def _stop_device_of_killed_daemon(record: Path) -> None:
 
 
 def _progress(engine: Engine) -> tuple[int, str]:
-    """Return the number of ticks, and the daemon's state in one line."""
+    """Return the servo's number of ticks, and the daemon's state in one line, for systemd."""
     counters = engine.counters()
     connection = None if engine.connection is None else engine.connection.status()
     device = engine.config.device.kind if connection is None else connection["name"] or "device lost"

@@ -29,9 +29,9 @@ MAX_USELESS_SUBSCRIPTIONS: Final = 1000
 """Subscriptions that match no topic, and invalid messages, after which a subscriber is disconnected."""
 
 _MAX_TURNS_PER_WAIT: Final = 20
-"""Turns of subscribers after which the thread pauses, so that the command thread gets the interpreter."""
+"""Served reads and messages of subscribers (turns) after which the thread pauses for the command thread."""
 _TURNS_PAUSE_S: Final = 0.005
-"""Length of the pause after _MAX_TURNS_PER_WAIT turns."""
+"""Length of the pause of the telemetry thread after _MAX_TURNS_PER_WAIT turns, in s."""
 _LOSS_LOG_INTERVAL_S: Final = 1.0
 """Interval in which dropped messages are logged."""
 
@@ -56,7 +56,7 @@ class Queue:
         return len(self._messages)
 
     def put(self, topic: bytes, data: bytes) -> None:
-        """Append a message, and drop the oldest ones beyond the limits."""
+        """Append a message, and drop the oldest messages beyond MAX_QUEUED_MESSAGES or MAX_QUEUED_BYTES."""
         self._messages.append((topic, data))
         self._bytes += len(data)
         while len(self) > MAX_QUEUED_MESSAGES or (self._bytes > MAX_QUEUED_BYTES and len(self) > 1):
@@ -70,13 +70,13 @@ class Queue:
         return data
 
     def remove(self, topic: bytes) -> None:
-        """Remove the messages of a topic."""
+        """Remove the messages of a topic from the queue."""
         self._messages = deque(each for each in self._messages if each[0] != topic)
         self._bytes = sum(len(data) for _, data in self._messages)
 
 
 class Publisher(Peers):
-    """The subscribers and their queues. For one thread."""
+    """The subscribers of telemetry and their queues. For one thread."""
 
     kind = b"PUB"
     partners = frozenset((b"SUB", b"XSUB"))
@@ -111,7 +111,7 @@ class Publisher(Peers):
             self._send_each(listening, head, data)
 
     def _send_each(self, peers: list[Peer], head: bytes, data: bytes | memoryview) -> None:
-        """Send a message to subscribers that keep up; what one of them does not accept is queued."""
+        """Send a message to subscribers with an empty queue; bytes that a subscriber does not accept are queued."""
         size, taken = len(head) + len(data), ffi.new("int64_t[]", len(peers))
         sockets = ffi.new("int32_t[]", [peer.sock.fileno() for peer in peers])
         lib.hd_send_each(
@@ -134,7 +134,7 @@ class Publisher(Peers):
             self._keep(peer, (memoryview(message)[max(count, 0) :],))
 
     def wait(self, timeout_s: float) -> None:
-        """Serve subscribers for `timeout_s`, at least one turn; return at once when `wake` is called."""
+        """Serve subscribers for `timeout_s`, at least one of them; return at once when `wake` is called."""
         until_s = time.monotonic() + timeout_s
         for turn in itertools.count(1):
             came = self._turn(timeout_s)
@@ -199,7 +199,7 @@ class Publisher(Peers):
             self._log_loss(peer, queue)
 
     def _log_losses(self) -> None:
-        """Log the losses of all subscribers, at most once a second."""
+        """Log how many messages were dropped for each subscriber, at most once a second."""
         if time.monotonic() >= self._reported_s + _LOSS_LOG_INTERVAL_S:
             self._reported_s = time.monotonic()
             for peer, queue in self._queues.items():

@@ -10,7 +10,7 @@ from hapticd.protocol.messages import Code
 
 
 class MethodError(Exception):
-    """A refused request; it has the members of the answer's error object."""
+    """A request is refused; the exception has the members of the answer's error object."""
 
     def __init__(self, code: Code, message: str, data: object = None) -> None:
         """Store the code, the message and the optional `data` of the error object."""

@@ -16,11 +16,11 @@ from hapticd.config.configuration import Config
 CONFIG_LOAD_TIMEOUT_S: Final = 10.0
 """Time within which the files of a configuration must be read: a disk may not respond."""
 _CONFIG_POLL_S: Final = 0.002
-"""Longest wait for the files in one step of a reload."""
+"""Longest time that one step of a reload waits for the thread that reads the files."""
 
 
 def read_again(load: Callable[[], Config]) -> Steps[Config]:
-    """Read the configuration in a background thread, in steps, because large files take seconds.
+    """Read the configuration in a background thread, and yield while it runs: large files take seconds.
 
     Raises HapticdError, also after CONFIG_LOAD_TIMEOUT_S.
     """

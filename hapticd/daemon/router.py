@@ -50,7 +50,7 @@ class Router(Peers):
         super().__init__(listening, limits)
 
     def receive(self, timeout_s: float) -> Request | None:
-        """Return the next request, from the peer whose turn it is.
+        """Return the next request; peers are served in turn.
 
         Returns None when `wake` is called, or after `timeout_s`, at most MAX_RECEIVE_OVERTIME_S later if peers send.
         """
@@ -72,7 +72,7 @@ class Router(Peers):
                 return None
 
     def send(self, peer: Peer, delimited: bool, body: bytes | codec.Encoded) -> None:
-        """Send an answer after the earlier ones to this peer. It is dropped if the peer has disconnected."""
+        """Send an answer after the earlier answers to this peer; drop it if the peer has disconnected."""
         if peer.closed:
             return
         first, *rest = (body,) if isinstance(body, bytes) else body.parts

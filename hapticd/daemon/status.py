@@ -23,7 +23,7 @@ from hapticd.protocol.messages import PROTOCOL_VERSION
 
 
 class Status:
-    """Reports one engine's status. For any thread."""
+    """Reports the status of one engine and of its lease, streams and flight recorder. For any thread."""
 
     def __init__(self, engine: Engine, lease: Lease, flight: Flight | None, streams: Streams) -> None:
         """Report the status of these objects; the daemon's start time is now."""
@@ -42,7 +42,7 @@ class Status:
         return {**self._lasting(counters), **self._changing(counters), **self._detail()}
 
     def encoded(self, detail: bool) -> Encoded:
-        """Return the encoded members for an answer; histograms, which are long, only with `detail`."""
+        """Return the encoded members of the status for an answer; histograms, which are long, only with `detail`."""
         counters = self._engine.counters()
         known, lasting = self._encoded
         state = self._state(counters)
@@ -55,7 +55,7 @@ class Status:
         return Encoded((lasting.joined(changing),))
 
     def _state(self, counters: Counters) -> tuple[object, ...]:
-        """Return the versions on which the result of `_lasting` depends."""
+        """Return version numbers; while none changes, the result of `_lasting` (rarely changing members) stays."""
         engine, flight = self._engine, self._flight
         return (
             engine.revision,
@@ -115,7 +115,7 @@ class Status:
         return {"histograms": {"lateness_ns": lateness.to_dict(), "work_ns": work.to_dict()}}
 
     def _find_limits(self) -> dict[str, object]:
-        """Return `undisplayable`, `warnings` and `offload`, computed again only if scene or materials changed."""
+        """Return the members `undisplayable`, `warnings`, `offload`, recomputed if scene or materials changed."""
         known, found = self._limits
         state = (self._engine.revision, self._engine.offload_version)
         if known != state:

@@ -36,7 +36,7 @@ _EVENT_COUNTERS: Final = {
 
 
 def lines(status: Status) -> Iterator[Line]:
-    """Yield the lines of a status."""
+    """Yield the lines that `hapticd status` prints for a status."""
     yield from _forces(status)
     yield from _real_time(status["realtime"])
     yield from _periods(status)
@@ -66,7 +66,7 @@ def lines(status: Status) -> Iterator[Line]:
 
 
 def text_of(lines: list[Line]) -> str:
-    """Return the lines as a text of two aligned columns."""
+    """Return the lines of a status as a text of two aligned columns."""
     width = max(len(name) for name, _ in lines)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
 

@@ -1,8 +1,8 @@
 """Streamed targets and forces: the sender and the order of messages, and the counters of accepted and refused ones.
 
 The connection that sends the first message owns the stream. The stream ends when no message came within the time-out.
-The servo ends it (csrc/servo/hd_servo_streams.c), so that it ends even if the command thread hangs. Only the command
-thread may call this; any thread may call `status`.
+The servo ends the stream (csrc/servo/hd_servo_streams.c), even if the command thread hangs. Only the command thread may
+use this module; any thread may call `status`.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from hapticd.protocol.streams import MAX_COMPONENT_BY_KIND, Kind
 
 
 class NotInTurnError(MethodError):
-    """A valid message is refused because another connection owns the stream or its sequence number is too low."""
+    """A valid message is refused: another connection owns its stream, or its sequence number is too low."""
 
 
 class Servo(Protocol):
     """The methods of an engine that streams call. `stream` never blocks: a newer value replaces the one before it."""
 
     def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None:
-        """Send the servo a new value."""
+        """Send the servo a new target of the hand or a new force; see Engine.stream."""
 
     def stream_counters(self, kind: StreamKind) -> StreamCounters:
-        """Return the servo's counters of a stream."""
+        """Return the servo's counters of the stream of targets or of forces."""
         ...
 
 
 class _Stream:
-    """One kind of stream: its owner, its last sequence number, and its counters since the start."""
+    """The stream of targets or of forces: its owner, its last sequence number, and its counters since the start."""
 
     __slots__ = ("accepted", "held", "kind", "last_ns", "late", "lost", "refused", "sender", "seq")
 
@@ -54,10 +54,10 @@ class _Stream:
 
 
 class Streams:
-    """Both kinds of streams of one servo."""
+    """The stream of targets and the stream of forces of one servo."""
 
     def __init__(self, servo: Servo, hand: bool, timeout_ns: int, clock: Callable[[], int] = monotonic_ns) -> None:
-        """Send values to `servo`.
+        """Send streamed targets and forces to `servo`.
 
         `hand`: whether the device has a simulated hand, which targets move. `timeout_ns`: time without a message, in
         nanoseconds, after which a stream ends.
@@ -71,7 +71,7 @@ class Streams:
         """The last target that the servo was given, in metres; None: there was none, or it was reset."""
 
     def take_body(self, sender: object, body: bytes) -> bool:
-        """Accept a notification that is complete, valid and in sequence.
+        """Accept a notification with a target or a force that is complete, valid and in sequence.
 
         Returns False for any other body and changes nothing. The caller then handles that body as a request, which
         reports and counts the mistake.
@@ -93,11 +93,11 @@ class Streams:
         return True
 
     def refused(self, method: str) -> None:
-        """Count an invalid message of this method."""
+        """Count an invalid message of the method `stream_target` or `stream_force`."""
         self._streams[wire.STREAM_KIND_BY_METHOD[method]].refused += 1
 
     def take(self, sender: object, kind: Kind, seq: int, x: float, y: float) -> None:
-        """Send the value of a valid message to the servo.
+        """Send the target or force of a valid message to the servo.
 
         Raises NotInTurnError if another connection owns the stream, or if the sequence number is not above that of the
         last accepted message.
@@ -119,7 +119,7 @@ class Streams:
         return now_ns - stream.last_ns < self._timeout_ns
 
     def _hand_over(self, stream: _Stream, sender: object, seq: int, now_ns: int, x: float, y: float) -> None:
-        """Send a value to the servo and count it. Until the stream ends, `seq` must be above that of the last value."""
+        """Send a target or force to the servo and count it. Until the stream ends, `seq` must exceed the last one."""
         missing = seq - stream.seq - 1 if self._is_under_way(stream, now_ns) else 0
         self._servo.stream(stream.kind, seq, x, y)
         stream.sender, stream.seq, stream.last_ns = sender, seq, now_ns
@@ -132,7 +132,7 @@ class Streams:
 
     @property
     def received(self) -> int:
-        """Number of messages of both kinds since the start. While it is 0, `status` does not change."""
+        """Number of streamed targets and forces since the start. While this is 0, `status` does not change."""
         return sum(stream.received for stream in self._streams.values())
 
     def status(self) -> dict[str, object]:

@@ -70,7 +70,7 @@ def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
 
 
 class Telemetry:
-    """Drains the rings of one engine, and passes messages to the publisher when they are due."""
+    """Drains the rings of one engine's servo, and passes messages to the publisher when they are due."""
 
     def __init__(
         self,
@@ -112,7 +112,7 @@ class Telemetry:
             return None if self._newest is None else self._state(self._newest[0])
 
     def run(self, stop: threading.Event) -> None:
-        """Publish until `stop` is set, and once more after it."""
+        """Publish telemetry until `stop` is set, and once more after that."""
         now = monotonic_ns()
         due = {"samples": now, "state": now, "status": now}
         send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
@@ -166,7 +166,7 @@ class Telemetry:
                 break
 
     def _read_samples(self) -> None:
-        """Move samples from the ring to `_samples`. The caller must hold `_reading`."""
+        """Move samples from the servo's ring to `_samples`. The caller must hold the lock `_reading`."""
         room = self._samples[self._held :]
         count, self._dropped = self._engine.read_samples(room) if len(room) else (0, self._dropped)
         if count:
@@ -174,7 +174,7 @@ class Telemetry:
             self._newest = self._samples[self._held - 1 : self._held]  # stays as it is until there is a newer one
 
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
-        """Yield events as maps.
+        """Yield the servo's events as maps, with some events merged.
 
         A flood of events would delay commands: a batch has one event for all overruns (their sum), one for all grooves
         of an object (their count), and one for all revisions (the newest).
@@ -236,7 +236,7 @@ class Telemetry:
             self._publisher.publish(topic, encode(message))
 
     def _note(self, event: Any) -> dict[str, object]:
-        """Return the map of an event, and update the state that depends on it."""
+        """Return the map of an event, and update this object's state that depends on the event."""
         name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
         kind = int(event["kind"])
         mark = self._engine.take_mark(int(event["code"])) if kind == EventKind.MARK else None

@@ -48,7 +48,7 @@ _log = logging.getLogger("hapticd.web")
 
 @dataclass
 class Pages:
-    """The open pages, and what they share."""
+    """The open pages, their common connection to the daemon, and the methods that they may call."""
 
     place: RuntimePaths
     hub: TelemetryHub
@@ -66,7 +66,7 @@ class Pages:
     _lives: set[asyncio.Task[None]] = field(default_factory=set)
 
     def send_news(self, news: dict[str, object]) -> None:
-        """Send news to all open pages."""
+        """Send news (changed state of this process) to all open pages."""
         for page in tuple(self.open):
             page.send_news(news)
 
@@ -129,7 +129,7 @@ class Pages:
         await asyncio.gather(*self._lives)
 
     def add_routes(self, app: web.Application) -> None:
-        """Add the routes of the WebSocket, and of downloads and uploads."""
+        """Add the routes of the WebSocket, and of downloads and uploads of recordings."""
         app.router.add_get("/socket", self.serve)
         if self.recordings is not None:
             self.recordings.add_routes(app)
@@ -146,7 +146,7 @@ class Site:
 
 
 def application(guard: Guard, connections: Connections, site: Site) -> web.Application:
-    """Return the aiohttp application that answers requests."""
+    """Return the aiohttp application that answers the HTTP requests of browsers."""
     mimetypes.add_type("text/javascript", ".mjs")
     mimetypes.add_type("text/javascript", ".js")
 

@@ -41,7 +41,7 @@ class Connections:
         request_s: float = REQUEST_TIMEOUT_S,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Allow `most` connections, which must send a request within `request_s`."""
+        """Allow `most` connections of browsers, each of which must send a request within `request_s`."""
         self._most, self._request_s, self._now = most, request_s, now
         self._open: dict[_Connection, float] = {}
         """The time at which each open connection is closed; 0: never."""
@@ -58,7 +58,7 @@ class Connections:
         return lambda: _Connection(cast(asyncio.Protocol, server()), self)
 
     def opened(self, connection: _Connection) -> bool:
-        """Add a new connection, and return whether there was room for it."""
+        """Add a new connection, and return False if there are already as many as allowed."""
         if len(self._open) >= self._most:
             self.refused += 1
             return False
@@ -78,7 +78,7 @@ class Connections:
                 connection.abort()
 
     async def run(self) -> None:
-        """Sweep once a second until cancelled."""
+        """Close overdue connections once a second until cancelled."""
         while True:
             await asyncio.sleep(_SWEEP_INTERVAL_S)
             self.sweep()

@@ -42,19 +42,19 @@ class DaemonRelay:
         self._reader = asyncio.create_task(self._read(), name="page-answers")
 
     def __len__(self) -> int:
-        """Return the number of calls under way."""
+        """Return the number of calls of the page that the daemon has not answered."""
         return len(self._under_way)
 
     def is_id_free(self, request: Request) -> bool:
-        """Return whether no call under way has the same id."""
+        """Return whether no unanswered call of the page has the id of this request."""
         return request.id not in self._under_way
 
     def notify(self, body: bytes) -> bool:
-        """Pass a notification on, and return whether a daemon accepted it."""
+        """Pass a notification on to the daemon; return False if no daemon accepted it."""
         return not self._waiting and self._send(body)
 
     def call(self, request: Request, body: bytes) -> None:
-        """Pass a call on, in the order of calls; `answer` is called with its answer or an error."""
+        """Pass a call on to the daemon, in the order of calls; the answer or an error goes to the function `answer`."""
         loop = asyncio.get_running_loop()
         self._under_way[request.id] = loop.call_later(self._timeout_s, self._fail, request.id, None)
         if self._waiting or not self._send(body):
@@ -101,7 +101,7 @@ class DaemonRelay:
                 self._answer(body)
 
     async def close(self) -> None:
-        """Close the connection. The daemon still carries out calls under way; their answers are dropped."""
+        """Close the connection to the daemon, which still carries out calls under way; their answers are dropped."""
         tasks = [task for task in (self._reader, self._sender) if task is not None]
         for task in tasks:
             task.cancel()

@@ -27,7 +27,7 @@ _PAGE_TEMPLATE = """<!doctype html>
 
 
 def address_needed_page(used: bool) -> str:
-    """Return the page for a browser without a token, or with one that was used."""
+    """Return the page that explains how to get an address, for a browser without a token or with a used token."""
     why = "This address was used before: it works once." if used else "This browser has no access."
     body = f"""<p>{why}</p>
 <p>To get a new address, do one of these:</p>
@@ -40,7 +40,7 @@ addresses, for a service into the journal.</li>
 
 
 def login_page(problem: str = "") -> str:
-    """Return the page with the password form, and with the problem of the last try."""
+    """Return the page with the password form; `problem` says why the last password was refused."""
     alert = f'<p class="problem" role="alert">{escape(problem)}</p>' if problem else ""
     body = f"""{alert}<form method="post" action="/login">
 <label for="password">Password</label>

@@ -39,7 +39,7 @@ _TEXTURE_KINDS: Final = ("grooves", "stochastic", "autoregressive")
 
 @cache
 def editor_schema() -> dict[str, Json]:
-    """Return the answer of `web.schema`."""
+    """Return the answer of `web.schema`: the JSON Schema of materials, objects and scene, with units."""
     every = cast("dict[str, dict[str, Json]]", config_schema()["$defs"])
     by_kind = {kind: name for name, found in every.items() for kind in _kinds(found)}
     wanted, definitions = ["Material", "Scene"], {}
@@ -62,7 +62,7 @@ def _ref(name: str) -> dict[str, Json]:
 
 
 def _kinds(definition: dict[str, Json]) -> list[str]:
-    """Return the values of `kind` that select this definition."""
+    """Return the values of the member `kind` that select this definition of an object or a texture."""
     kind = cast("dict[str, dict[str, Json]]", definition.get("properties", {})).get("kind", {})
     return [cast(str, kind["const"])] if "const" in kind else []
 
@@ -80,7 +80,7 @@ def _referred(tree: Json) -> Iterator[str]:
 
 
 def _simple(tree: Json) -> Json:
-    """Return a definition in the form of `web.schema`."""
+    """Return a JSON Schema with units as members, and without null, defaults of null and combinations."""
     if isinstance(tree, list):
         return [_simple(value) for value in tree]
     if not isinstance(tree, dict):

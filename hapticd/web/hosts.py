@@ -18,17 +18,20 @@ _OWN_FETCH_SITES: Final = ("same-origin", "none")
 
 
 class Hosts:
-    """The names of one server, at one port."""
+    """The host names under which one server may be requested, at one port."""
 
     def __init__(self, names: frozenset[str], port: int, secure: bool) -> None:
-        """Accept these names, in lower case, with IPv6 addresses in brackets; `*` in `*.lab.org` matches one label."""
+        """Accept requests for the host `names`.
+
+        Names are in lower case, IPv6 addresses in brackets; `*` in `*.lab.org` matches one label.
+        """
         self._names = names
         self._port = port
         self._default = 443 if secure else 80
         self._scheme = "https://" if secure else "http://"
 
     def _known(self, authority: str) -> str | None:
-        """Return name and port of `authority` if they are those of this server, else None."""
+        """Return `authority` as name and port if these are a name and the port of this server, else None."""
         match = _AUTHORITY_PATTERN.fullmatch(authority.lower())
         if match is None or int(match[2] or self._default) != self._port:
             return None

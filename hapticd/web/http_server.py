@@ -21,7 +21,7 @@ _SHUTDOWN_TIMEOUT_S: Final = 0.3
 
 @asynccontextmanager
 async def serving(at: Listening, sessions: Sessions, site: Site, connections: Connections) -> AsyncIterator[Guard]:
-    """Answer requests while the context lasts; yield the guard that decides on access."""
+    """Answer HTTP requests while the context lasts; yield the guard, which decides on the access of browsers."""
     guard = Guard(at.hosts, sessions, at.passwords, at.socket.getsockname()[1], at.tls is not None)
     runner = web.AppRunner(
         application(guard, connections, site),

@@ -34,7 +34,7 @@ class Listening:
 
 
 def listen(host: str, port: int, cert: str | None, key: str | None, password_file: str | None) -> Listening:
-    """Bind the socket. Raises HapticdError, before it binds, if options are missing or files cannot be used."""
+    """Bind the listening socket. Raises HapticdError if options are missing or files or the port cannot be used."""
     address = _address_of(host, port)
     loopback = ipaddress.ip_address(address.partition("%")[0]).is_loopback
     _require_options(host, loopback, cert, key, password_file)

@@ -47,7 +47,7 @@ _HISTOGRAM_METRICS: Final = {
 
 
 class DaemonCollector(Collector):
-    """The metrics of the newest status. A thread of prometheus-client's server calls `collect`."""
+    """The Prometheus metrics of the daemon's newest status. A thread of prometheus-client's server calls `collect`."""
 
     def __init__(self) -> None:
         self._hub: TelemetryHub | None = None
@@ -59,7 +59,7 @@ class DaemonCollector(Collector):
         hub.subscribe(self, frozenset({"status"}))
 
     def telemetry(self, topic: str, message: bytes) -> None:
-        """Keep a status, which the hub passes on as [topic, status]."""
+        """Keep a status of the daemon, which the hub passes on as a message [topic, status]."""
         self._newest = message
 
     def collect(self) -> Iterator[Metric]:
@@ -101,7 +101,7 @@ def _of_status(status: Mapping[str, Any]) -> Iterator[Metric]:
 
 
 def _buckets(histogram: Mapping[str, Any]) -> Sequence[tuple[str, float]]:
-    """Convert edges in ns and the counts between them to cumulative buckets in s; the last has no upper edge."""
+    """Return the cumulative buckets, in s, of a histogram in ns; the last bucket has no upper edge."""
     total, buckets = 0, []
     for edge, count in zip([*histogram["edges"], float("inf")], histogram["counts"], strict=True):
         total += count

@@ -26,7 +26,7 @@ class OutboxFullError(Exception):
 
 
 class _Waiting:
-    """A message of telemetry; its `message` is empty once it was dropped."""
+    """A message of telemetry that waits to be sent; `message` is empty once it was dropped."""
 
     __slots__ = ("message", "topic")
 
@@ -35,7 +35,7 @@ class _Waiting:
 
 
 class Outbox:
-    """The queue of one page. For the event loop."""
+    """The queue of messages to one page. For the event loop."""
 
     def __init__(self) -> None:
         """Make an empty queue."""
@@ -52,7 +52,7 @@ class Outbox:
         return len(self._answers) + sum(map(len, self._of_topic.values()))
 
     def answer(self, message: bytes) -> None:
-        """Queue an answer or news. Raises OutboxFullError if too many wait."""
+        """Queue an answer to a call, or news. Raises OutboxFullError if too many of them wait."""
         if len(self._answers) >= MAX_WAITING_ANSWERS or self._answer_bytes + len(message) > MAX_WAITING_ANSWER_BYTES:
             raise OutboxFullError
         self._answers.append(message)

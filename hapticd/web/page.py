@@ -59,7 +59,7 @@ _MESSAGES_PER_TURN: Final = 32
 _NEWS_INTERVAL_S: Final = 1.0
 """Interval of the news `dropped` and `refused`."""
 _MAX_SAFETY_CALL_BYTES: Final = 4096
-"""Longest call of SAFETY_METHODS, whose params this process reads."""
+"""Longest call of `lease` or `set_forces`, whose params this process reads, in bytes."""
 
 _log = logging.getLogger("hapticd.web")
 
@@ -108,11 +108,11 @@ class Page:
         self._ended = asyncio.Event()
 
     def send_news(self, news: Mapping[str, object]) -> None:
-        """Send ["web", news] to the page."""
+        """Send news (changed state of this process) to the page, as ["web", news]."""
         self._answer(encode(["web", dict(news)]))
 
     def end(self, why: str) -> None:
-        """Begin to close the page, and send it the reason."""
+        """Begin to close the page, and send it the reason `why`."""
         if not self._ended.is_set():
             with contextlib.suppress(OutboxFullError):
                 self.outbox.answer(encode(["web", {"ended": why}]))
@@ -218,7 +218,7 @@ class Page:
             self._relay.call(request, body)
 
     def _handle_here(self, head: Request, body: bytes) -> None:
-        """Handle a call whose params this process must read; `head` is the request without them."""
+        """Handle a call whose params this process must read; `head` is the request without its params."""
         if head.method in page_calls.SAFETY_METHODS and len(body) > _MAX_SAFETY_CALL_BYTES:
             self._refuse(head, Code.INVALID_PARAMS, f"params: must have at most {_MAX_SAFETY_CALL_BYTES} bytes", "size")
             return
@@ -250,7 +250,7 @@ class Page:
             raise AssertionError("messages.peek rejected a valid request")
 
     def _decoded(self, body: bytes) -> Request | None:
-        """Return the request in a body, or None if it is not valid, which is answered and counted."""
+        """Return the request in a body. If it is not valid, answer with an error, count it and return None."""
         try:
             return messages.parse_request(messages.decode(body, MAX_PAGE_MESSAGE_BYTES))
         except WireError as error:

@@ -20,7 +20,7 @@ MAX_PAGE_LEASE_S: Final = 1.0
 
 
 class PageLease:
-    """The lease of one page."""
+    """The lease of one page: the daemon keeps forces on only while the page renews it in time."""
 
     def __init__(self, control: Client, now: Callable[[], float] = time.monotonic) -> None:
         """Use the connection `control`, which other calls of pages do not delay."""
@@ -29,11 +29,11 @@ class PageLease:
 
     @property
     def held(self) -> bool:
-        """Whether the page holds a lease now. Its duration is counted from before the request to the daemon."""
+        """Whether the page's lease has not lapsed. Its duration is counted from before the request to the daemon."""
         return self._now() < self._until
 
     async def lease(self, params: Mapping[str, object]) -> object:
-        """Call the daemon's `lease`, for at most MAX_PAGE_LEASE_S."""
+        """Take, renew or end the page's lease by the daemon's `lease`, for at most MAX_PAGE_LEASE_S."""
         given = params.get("duration_s")
         # The daemon refuses values that are not numbers.
         duration_s = given if isinstance(given, int | float) and not isinstance(given, bool) else 0

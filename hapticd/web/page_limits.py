@@ -21,7 +21,7 @@ MAX_RECEIVED_BYTES_PER_S: Final = 8.0 * (1 << 20)
 
 
 class PageLimits:
-    """The limits of one page."""
+    """The limits of one page: rates of its messages and calls, and its calls under way."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         """Begin with full token buckets."""

@@ -31,7 +31,7 @@ async def _subscribe(page: Page, params: Mapping[str, object]) -> object:
 
 
 async def _new_address(page: Page, _: Mapping[str, object]) -> object:
-    """Return an address that gives one more browser access, once."""
+    """Answer web.new_address: return an address with a one-time token, which gives one more browser access."""
     return {"address": page.new_address()}
 
 

@@ -47,10 +47,10 @@ Verdict = Literal["right", "wrong", "later"]
 
 
 class Passwords:
-    """The password of one file. For the event loop."""
+    """Checks passwords against the hash in one file, with rate limits. For the event loop."""
 
     def __init__(self, path: str, now: Callable[[], float] = time.monotonic) -> None:
-        """Read the file. Raises HapticdError if other users may read it or if it does not contain a hash."""
+        """Read the password file. Raises HapticdError if other users may read it or if it does not contain a hash."""
         name = printable(path)
         match = _LINE_PATTERN.fullmatch(
             read_trusted(path, _MAX_PASSWORD_FILE_BYTES, secret=True).decode("ascii", "replace").strip()
@@ -94,7 +94,7 @@ def _scrypt(password: bytes, salt: bytes, n: int, r: int, p: int) -> bytes:
 
 
 def write_password(path: str, password: str) -> None:
-    """Write a file for `Passwords` that only its owner may read.
+    """Write a new password file, which only its owner may read.
 
     Raises HapticdError, also if the file already exists.
     """

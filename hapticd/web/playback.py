@@ -129,7 +129,7 @@ class Playback:
         }
 
     def outline(self, column: str, first: int, last: int, pixels: int) -> dict[str, object]:
-        """Return a column of the rows from `first` to before `last`, as little-endian float32.
+        """Return a column of the samples from row `first` to before row `last`, as little-endian float32.
 
         The result has `min` and `max`, each with one number per pixel, or, if there are at most two rows per pixel,
         `raw` with one number per row.
@@ -195,7 +195,7 @@ def _map(value: object) -> dict[str, Any]:
 
 
 def _inside(name: str, value: int, low: int, high: int) -> int:
-    """Return an integer that a page sent. Raises HapticdError if it is outside its range."""
+    """Return the integer `value` that a page sent. Raises HapticdError if it is not between `low` and `high`."""
     if not low <= value <= high:
         raise HapticdError(f"{name}: must be between {low:,} and {high:,}, is {value:,}")
     return value

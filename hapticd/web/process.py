@@ -85,7 +85,7 @@ def run(options: Options) -> int:
 
 
 def _probe_daemon(place: RuntimePaths) -> None:
-    """Warn if no daemon runs: it may start later. Raises HapticdError if access to its sockets is denied."""
+    """Log a warning if no daemon runs: it may start later. Raises HapticdError if access to its sockets is denied."""
     try:
         places.probe(place)
     except DaemonNotRunning as error:
@@ -93,7 +93,7 @@ def _probe_daemon(place: RuntimePaths) -> None:
 
 
 class _Server:
-    """The parts of the running server."""
+    """The running web server: its pages, its sessions and its connection to the daemon."""
 
     def __init__(
         self,

@@ -1,8 +1,8 @@
 """A recording that any page can begin and end, made by a thread of this process with a separate connection.
 
-There is at most one. It continues if the page that began it is closed or loses the network; every page shows it and can
-stop it. It ends when it is stopped, after its duration, when the daemon ends, when the disk is full and when `hapticd
-web` ends; the file has everything until then.
+There is at most one recording. It continues if the page that began it is closed or loses the network; every page shows
+the recording and can stop it. It ends when it is stopped, after its duration, when the daemon ends, when the disk is
+full and when `hapticd web` ends; the file has everything until then.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _MAX_NOTE_KEY_CHARACTERS: Final = 64
 
 @dataclass(slots=True)
 class _ActiveRecording:
-    """A recording under way."""
+    """A recording that is being made, with its thread."""
 
     name: str
     stop: threading.Event
@@ -157,7 +157,7 @@ class WebRecorder:
     def _run(
         self, loop: asyncio.AbstractEventLoop, active: _ActiveRecording, target: Path, notes: Mapping[str, Json]
     ) -> None:
-        """Record until the end. For the recording's thread."""
+        """Record until the recording is stopped or ends. For the recording's thread."""
 
         def opened(writer: RecordingWriter) -> None:
             active.writer = writer

@@ -60,7 +60,7 @@ def checked_name(name: object) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A recording of the folder."""
+    """A recording in the list of the folder."""
 
     name: str
     size: int

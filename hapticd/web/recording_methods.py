@@ -90,7 +90,7 @@ class Recordings:
         return {}
 
     async def download(self, request: web.Request) -> web.StreamResponse:
-        """Answer a GET of a recording by its name."""
+        """Answer a GET of a recording by its name with the bytes of the file."""
         try:
             with self._folder.file(request.match_info["name"]) as file:
                 name = request.match_info["name"]

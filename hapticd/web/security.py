@@ -53,7 +53,7 @@ class Guard:
         """Number of refused requests, by the first word of the reason."""
 
     def middleware(self) -> Middleware:
-        """Return the middleware that refuses requests without access."""
+        """Return the middleware that refuses requests of browsers without access, and of other sites."""
 
         @web.middleware
         async def check(request: web.Request, handler: Handler) -> web.StreamResponse:

@@ -26,7 +26,7 @@ class Sessions:
         return _added(self._tokens, MAX_TOKENS)
 
     def admit(self, token: str) -> str | None:
-        """Use a token and return a new session; None if the token is not valid."""
+        """Use up a one-time token and return a new session for the cookie; None if the token is not valid."""
         found = _find(self._tokens, token)
         if found is None:
             return None
@@ -34,7 +34,7 @@ class Sessions:
         return self.open()
 
     def open(self) -> str:
-        """Return a new session."""
+        """Return a new session, a secret for a browser's cookie."""
         return _added(self._sessions, MAX_SESSIONS)
 
     def knows(self, session: str) -> bool:
@@ -55,7 +55,7 @@ def _added(known: OrderedDict[str, None], most: int) -> str:
 
 
 def _find(valid: OrderedDict[str, None], given: str) -> str | None:
-    """Return the secret that equals `given`, or None. All are compared, each in constant time."""
+    """Return the valid secret that equals `given`, or None. All secrets are compared, each in constant time."""
     found = None
     for each in valid:
         if hmac.compare_digest(each.encode(), given.encode("utf-8", "surrogateescape")):

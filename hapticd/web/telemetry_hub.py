@@ -22,14 +22,14 @@ _HUB_MESSAGES_PER_TURN: Final = 32
 
 
 class Subscriber(Protocol):
-    """A receiver of telemetry, which must not block."""
+    """A receiver of the daemon's telemetry, which must not block."""
 
     def telemetry(self, topic: str, message: bytes) -> None:
-        """Take a message of a topic: [topic, body] as one msgpack array."""
+        """Take a message of telemetry: [topic, body] as one msgpack array."""
 
 
 class TelemetryHub:
-    """One subscription to the daemon, only to topics that a page needs."""
+    """One subscription to the daemon's telemetry, shared by all pages, only to topics that a page needs."""
 
     def __init__(self, place: RuntimePaths, changed: Callable[[bool], None] = lambda _: None) -> None:
         """Connect to the daemon at `place`. `changed` is called when the daemon connects or disconnects."""
@@ -45,7 +45,7 @@ class TelemetryHub:
         self._subscribers: dict[Subscriber, frozenset[str]] = {}
 
     def subscribe(self, subscriber: Subscriber, topics: frozenset[str]) -> None:
-        """From now on, pass messages of exactly these topics to `subscriber`; without any, end its subscription."""
+        """From now on, pass messages of exactly `topics` to `subscriber`; without topics, end its subscription."""
         before = self._subscribers.pop(subscriber, frozenset())
         if topics:
             self._subscribers[subscriber] = topics

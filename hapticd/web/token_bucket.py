@@ -15,7 +15,7 @@ class Bucket:
         self._level, self._at = burst, now()
 
     def take(self, amount: float) -> float:
-        """Take tokens, also more than there are, and return the time until the level is 0 again, in s."""
+        """Take `amount` tokens, even if there are fewer; return the time in s until the number of tokens is 0 again."""
         self._fill()
         self._level -= amount
         return max(0.0, -self._level / self._per_s)

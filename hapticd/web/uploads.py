@@ -58,7 +58,7 @@ class Uploads:
         return web.json_response({"upload": token})
 
     def take(self, token: object) -> Path:
-        """Return the file of a token, which the caller must remove. Raises HapticdError if it does not exist."""
+        """Return the uploaded file of a token; the caller must remove it. Raises HapticdError if it does not exist."""
         path = self._waiting.pop(token, None) if isinstance(token, str) else None
         if path is None:
             raise HapticdError("upload: the file was removed; choose it again")
@@ -77,7 +77,7 @@ class Uploads:
 
 
 async def _write_body(request: web.Request, path: Path) -> bool:
-    """Write the body into a file, and return True; if it is too large, remove the file and return False."""
+    """Write a request's body into a file and return True; if it is too large, remove the file and return False."""
     received = reported = 0
     with open(path, "xb") as file:
         async for block in request.content.iter_chunked(_UPLOAD_BLOCK_BYTES):

@@ -29,7 +29,7 @@ class _IntricateError(Exception):
 
 
 def same(one: Json, other: Json) -> bool:
-    """Return whether two values are the same: 800 and 800.0 are, true and 1 are not."""
+    """Return whether two values are the same: 800 and 800.0 are the same, true and 1 are not."""
     if isinstance(one, dict) and isinstance(other, dict):
         return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
     if isinstance(one, list) and isinstance(other, list):
@@ -38,7 +38,7 @@ def same(one: Json, other: Json) -> bool:
 
 
 def edited(text: str, after: dict[str, Json]) -> tuple[str, bool]:
-    """Return the text with the values of `after`, and whether everything else is unchanged.
+    """Return the YAML text with the values of `after`, and whether everything else is unchanged.
 
     `text` must be a mapping that load_text accepts. False: values could not be replaced in place, and the text was
     written again without its comments.
@@ -61,7 +61,7 @@ def edited(text: str, after: dict[str, Json]) -> tuple[str, bool]:
 
 
 class _Edits:
-    """Replacements in one text, found from outer to inner values."""
+    """Replacements of values in one YAML text, found from outer to inner values."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -69,7 +69,7 @@ class _Edits:
         self._edits: list[tuple[int, int, str]] = []
 
     def applied(self) -> str:
-        """Return the text with all replacements, which must not overlap."""
+        """Return the YAML text with all replacements made. Replacements must not overlap."""
         parts, at = [], 0
         for start, end, new in sorted(self._edits, key=lambda edit: edit[:2]):
             if start < at:
@@ -185,7 +185,7 @@ class _Edits:
         return start
 
     def _end(self, node: yaml.Node) -> int:
-        """Return the index after the last character of a value. PyYAML's end of a block follows its comments."""
+        """Return the index after the last character of a value. PyYAML's end of a block includes trailing comments."""
         while isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
             last = node.value[-1]
             node = last[1] if isinstance(last, tuple) else last
@@ -196,18 +196,18 @@ class _Edits:
         return max(self._text.rfind(mark, 0, at) for mark in "\n\r\x85\u2028\u2029") + 1
 
     def _entry_end(self, entry: tuple[yaml.Node, yaml.Node]) -> int:
-        """Return the index after the value, or after the key if the value is empty."""
+        """Return the index after the value of a mapping's entry, or after its key if the value is empty."""
         return max(self._end(entry[1]), entry[0].end_mark.index)
 
     def _after_line(self, at: int) -> int:
-        """Return the index at which the next line begins."""
+        """Return the index at which the line after the index `at` begins."""
         match = _LINE_END_PATTERN.search(self._text, at)
         assert match is not None
         return match.end()
 
 
 def block_text(mapping: dict[str, Json]) -> str:
-    """Return a new YAML text: values that fit are on one line, others in blocks."""
+    """Return a mapping as a new YAML text: values that fit are on one line, others in blocks."""
     return "".join(f"{line}\n" for name, value in mapping.items() for line in _entry(name, value, 0))
 
 

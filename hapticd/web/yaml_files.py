@@ -36,7 +36,7 @@ _Map = dict[str, Json]
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """The scene and the materials in the text of a file, validated."""
+    """The validated scene and materials in the text of a file that a page opens."""
 
     document: Document
     change: ChangeFiles
@@ -98,7 +98,7 @@ def changed_materials(materials: Mapping[str, object]) -> _Map:
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """The text of a file to save."""
+    """The text of a file of scene and materials that a page saves."""
 
     text: str
     kept: bool
@@ -156,12 +156,12 @@ def saved(
 
 
 def _brief(model: Scene | Material) -> Json:
-    """Return a model without members that have their default."""
+    """Return a scene or a material as a map without the members that have their default."""
     return _whole_numbers(cast(Json, model.model_dump(mode="json", exclude_none=True, exclude_defaults=True)))
 
 
 def _whole_numbers(tree: Json) -> Json:
-    """Return values with integers in place of floats such as 800.0."""
+    """Return a tree of values with integers in place of floats such as 800.0."""
     if isinstance(tree, dict):
         return {key: _whole_numbers(value) for key, value in tree.items()}
     if isinstance(tree, list):
@@ -170,7 +170,7 @@ def _whole_numbers(tree: Json) -> Json:
 
 
 def _edited_file(opened: Opened, text: str, wanted: _Map, brief: _Map) -> tuple[str, bool]:
-    """Return the opened text with the sections `wanted`, and whether its comments and layout were kept."""
+    """Return the opened file's text with the sections `wanted`, and whether comments and layout were kept."""
     raw = opened.document.data
     assert isinstance(raw, dict)
     bare = {"bare scene": "scene", "bare materials": "materials"}.get(kind_of(raw) or "")
@@ -198,7 +198,7 @@ def _data_of(text: str) -> Json:
 
 
 def _in_section(key: str, text: str) -> str:
-    """Return the text as the section `key`, which begins below its first comments."""
+    """Return a YAML text indented as the section `key`; the key follows the first comments of the text."""
     lines = text.removeprefix("\ufeff").splitlines(keepends=True)
     comments = next((row for row, line in enumerate(lines) if not line.startswith("#")), len(lines))
     return "".join(
@@ -207,7 +207,7 @@ def _in_section(key: str, text: str) -> str:
 
 
 def _merged(raw: Json, before: Json, wanted: Json, brief: Json) -> Json:
-    """Return the value to write in place of `raw`.
+    """Return the value to write in place of `raw`, a value as it is in the opened file.
 
     `before` is `raw` with all members and `wanted` the new value with all members. `raw` is kept if they are the same;
     in a mapping, only the members that differ are changed. `brief` is `wanted` without members that have their

@@ -23,7 +23,7 @@ _SHIPPED_FOLDERS: Final = ("scenes", "materials")
 
 
 async def _schema(_: Page, params: Mapping[str, object]) -> object:
-    """Answer web.schema, see editor_schema.py."""
+    """Answer web.schema: return the JSON Schema of materials, objects and scene (editor_schema.py)."""
     return editor_schema()
 
 
@@ -40,7 +40,7 @@ async def _shipped(_: Page, params: Mapping[str, object]) -> object:
 
 
 async def _open(page: Page, params: Mapping[str, object]) -> object:
-    """Answer web.yaml_open: check the `text` of a file called `name`, and apply it as one change."""
+    """Answer web.yaml_open: check the `text` of the file `name`; put its scene and materials in force together."""
     return await _apply(page, params.get("name"), params.get("text"))
 
 
@@ -60,7 +60,7 @@ async def _open_shipped(page: Page, params: Mapping[str, object]) -> object:
 
 
 async def _apply(page: Page, name: object, text: object) -> dict[str, object]:
-    """Apply the content of a text; problems that this process or the daemon finds are listed by line and key."""
+    """Put the scene and materials of a YAML text in force. An error lists the text's problems by line and key."""
     given = str(name)
     try:
         opened = await asyncio.to_thread(_read, name, text)

@@ -138,7 +138,7 @@ document.
 
 
 class _Topic(NamedTuple):
-    """A topic of telemetry."""
+    """A topic of telemetry, as the AsyncAPI document describes it."""
 
     name: str
     summary: str

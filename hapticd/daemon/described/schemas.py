@@ -43,7 +43,7 @@ _OPEN_API_KEYWORD: Final = "discriminator"
 
 
 def draft7(schema: Json) -> Json:
-    """Return the schema in draft 7: `items` for lists of fixed length, no member next to a `$ref`, no default null."""
+    """Return a JSON Schema in draft 7: `items` for lists of fixed length, no member next to `$ref`, no default null."""
     if isinstance(schema, list):
         return [draft7(each) for each in schema]
     if not isinstance(schema, dict):
@@ -120,7 +120,7 @@ def _by_name(patches: list[str]) -> dict[str, Json]:
 
 
 def _patch(name: str, schemas: Schemas) -> dict[str, Json]:
-    """Return the schema of a merge patch of the model `name`.
+    """Return the schema of a merge patch (RFC 7396) of the model `name`.
 
     Keys that the model lacks may be null: a patch that changes an object's `kind` must remove keys of the old kind.
     """
@@ -131,7 +131,7 @@ def _patch(name: str, schemas: Schemas) -> dict[str, Json]:
 
 
 def _patched(schema: dict[str, Json], schemas: Schemas) -> Json:
-    """Return the schema of a member of a patch: null, a patch if the member is an object, else its new value."""
+    """Return the schema of a member of a merge patch: null, or a patch if the member is an object, else its value."""
     about = {"description": schema["description"]} if "description" in schema else {}
     options = cast(
         "list[dict[str, Json]]", schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf") or [schema]
@@ -154,7 +154,7 @@ def _without_words(schema: dict[str, Json]) -> dict[str, Json]:
 
 
 def _by_names(schema: dict[str, Json]) -> dict[str, Json]:
-    """Return the schema of a patch of a mapping whose keys are names."""
+    """Return the schema of a merge patch (RFC 7396) of a mapping whose keys are names."""
     found = {key: value for key, value in _without_words(schema).items() if key != "propertyNames"}
     patterns = cast(Schemas, schema["patternProperties"])
     found["patternProperties"] = {pattern: {"anyOf": [value, _NULL_SCHEMA]} for pattern, value in patterns.items()}
@@ -220,7 +220,7 @@ def _mapping(kind: Any) -> dict[str, Json]:
 
 
 def event_schema() -> dict[str, Json]:
-    """Return the schema of an event: for each kind the members that `event_map` gives it."""
+    """Return the schema of a message of the topic `event`: for each kind, the members that `event_map` gives."""
     record = records(EVENT_DTYPE, 1)[0]
     kinds: list[Json] = []
     for kind in EventKind:
@@ -238,7 +238,7 @@ def _event_member(name: str) -> Json:
 
 
 def samples_schema() -> dict[str, Json]:
-    """Return the schema of a batch of samples. `data` is msgpack's bin, which JSON does not have."""
+    """Return the schema of a message of the topic `samples`. `data` is msgpack's bin, which JSON does not have."""
     return {
         "title": "Samples",
         "type": "object",

@@ -21,7 +21,7 @@ CODES_OF_ANY_MESSAGE: Final = (Code.PARSE, Code.INVALID_REQUEST, Code.NO_SUCH_ME
 
 
 class MethodDescription(NamedTuple):
-    """Summary, result and error codes of a method."""
+    """Summary, result and error codes of a method of the protocol."""
 
     summary: str
     result: type | None
@@ -74,7 +74,7 @@ METHOD_DESCRIPTIONS: Final[dict[str, MethodDescription]] = {
 
 
 class CodeDescription(NamedTuple):
-    """A row of the table of errors: when the error occurs, and its `data`."""
+    """An error code of the protocol: when the error occurs, and the member `data` of the error object."""
 
     when: str
     data: str = ""
