@@ -67,7 +67,7 @@ class View:
     # ---- Input ------------------------------------------------------------------------------------------------
 
     def feed(self, topic: str, message: Mapping[str, object]) -> None:
-        """Take a telemetry message."""
+        """Update the view with a telemetry message."""
         self.lost_for_s = None
         if topic == "status":
             self.status = cast(Status, message)
@@ -103,7 +103,7 @@ class View:
         return self.lost_for_s is None and self.state is not None and self.state["revision"] != self.scene_revision
 
     def set_scene(self, scene: Mapping[str, object], revision: int) -> None:
-        """Set the scene of the picture."""
+        """Set the scene that the picture shows, and its revision."""
         self._background = None
         self.scene, self.scene_revision = dict(scene), revision
 
@@ -144,7 +144,7 @@ class View:
         return Text.assemble((left.ljust(max(0, width - len(right))), "reverse"), (right, style))
 
     def _rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """Yield the figures: label, bar, value and style of each."""
+        """Yield the figures next to the picture: label, bar, value and style of each."""
         state, status = self.state, self.status
         if state is None:
             return
@@ -190,7 +190,7 @@ class View:
         return lines
 
     def line(self) -> str:
-        """Return the state as a line for a file or a pipe."""
+        """Return the state of the daemon as a line for a file or a pipe."""
         values = {label: value for label, _, value, _ in self._rows()}
         parts = [f"{label} {' '.join(values[label].split())}" for label in _LINE_LABELS if values.get(label)]
         return "  ".join(parts if self.status is None else [*parts, f"forces {self.status['forces']}"])
@@ -316,7 +316,7 @@ _Messages: TypeAlias = Subscription[_Item]
 
 
 def _follow(view: View, client: Client, messages: _Messages, every_s: float, lasts_s: float) -> Iterator[_Item | None]:
-    """Feed the view until `lasts_s` after the first message; yield each message, or None if `every_s` pass without."""
+    """Update the view until `lasts_s` after the first message; yield messages, or None if none comes in `every_s`."""
     heard_s, ends_s = time.monotonic(), math.inf
     view.feed("status", client.get_status())
     while (now_s := time.monotonic()) < ends_s:
@@ -331,7 +331,7 @@ def _follow(view: View, client: Client, messages: _Messages, every_s: float, las
 
 
 def _draw(client: Client, messages: _Messages, console: Console, lasts_s: float) -> bool:
-    """Draw until `lasts_s` after the first message (return true) or the terminal is closed (return false)."""
+    """Draw the view until `lasts_s` after the first message (return true) or the terminal closes (return false)."""
     view = View()
     shown_s = time.monotonic()
     asked_s = -math.inf

@@ -154,7 +154,7 @@ def _is_flat(body: bytes) -> bool:
 
 
 def check_encoded(body: bytes) -> None:
-    """Raise WireError as `decode` does, for a body encoded by this process; short bodies take half of its time."""
+    """Raise WireError as `decode` does, for a body that this process encoded; if short, in half the time."""
     # msgpack accepts keys of bytes and timestamps, `decode` does not; so bodies that may have them go to `decode`.
     if _is_flat(body) and _BIN8_TAG not in body and _TIMESTAMP_TYPE not in body:
         try:
@@ -293,7 +293,7 @@ def peek(body: bytes) -> Request | None:
 
 
 def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> bytes:
-    """Return the body of a call."""
+    """Return the body of a request that calls a method."""
     message: dict[str, object] = {"jsonrpc": "2.0", "id": id, "method": method}
     if params:
         message["params"] = params
@@ -322,9 +322,9 @@ def error_reply(id: Id, code: int, message: str, data: object = None) -> bytes:
 
 
 def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
-    """Return whether the reply needs an empty delimiter frame, and the body, or None if the frames are invalid.
+    """Return whether the reply to a request needs an empty delimiter frame, and the body of the request.
 
-    `frames` are those after the identity.
+    The body is None if the frames are invalid. `frames` are those after the identity of the client.
     """
     count = len(frames)
     if count == 1:
@@ -336,5 +336,5 @@ def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
 
 
 def too_long_reply(size: int) -> bytes:
-    """Return the error reply to a body of `size` bytes, more than MAX_BODY_BYTES. Its id is unknown."""
+    """Return the error reply to a request of `size` bytes, more than MAX_BODY_BYTES; its id is unknown."""
     return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY_BYTES))
