@@ -135,7 +135,7 @@ def records(dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:
 
 
 def pointer(ctype: str, array: npt.NDArray[np.generic]) -> CData:
-    """Return the memory of an array as a C array such as "struct hd_object[]" or "double[]"; it keeps the array alive.
+    """Return the memory of an array as a C array, for example "double[]"; the returned pointer keeps the array alive.
 
     Raises ValueError if the array is not C-contiguous, or its size is not a multiple of the C item's.
     """

@@ -110,7 +110,7 @@ def refuse_documents(path: str | os.PathLike[str]) -> None:
 
 
 def refuse_other_keys(document: Document, path: Sequence[str], given: Collection[str], known: str) -> None:
-    """Raise InvalidError if the mapping at `path`, with the keys `given`, has another key than `known`."""
+    """Raise InvalidError if the mapping at `path` has other keys: if any of the keys `given` is not the key `known`."""
     text = f"{UNKNOWN_KEY}; known: {known}"
     others = [Problem(document.where((*path, key)), text) for key in given if key != known]
     if others:
