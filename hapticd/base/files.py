@@ -127,7 +127,7 @@ def rename_to_free_name(part: Path, target: Path, overwrite: bool) -> Path:
 
 
 def _rename(part: Path, place: Path, overwrite: bool) -> None:
-    """Rename a file. Raises FileExistsError if the name is taken, even if another process has just taken it."""
+    """Rename a file to `place`. Raises FileExistsError if the name is taken, even if only since a moment ago."""
     if overwrite and _not_regular(place) is None:
         os.replace(part, place)
         return
@@ -151,7 +151,7 @@ def _rename(part: Path, place: Path, overwrite: bool) -> None:
 
 
 def displaced(wanted: str | os.PathLike[str], place: str | os.PathLike[str]) -> str:
-    """Return the message for a file that was written under another name than `wanted`."""
+    """Return the message about a file that was written to `place`, since the name `wanted` was taken."""
     return f"{os.fspath(wanted)}: another program created this file meanwhile; the output is in {os.fspath(place)}"
 
 

@@ -48,7 +48,7 @@ END_SILENCE_S: Final = 0.2
 """A daemon whose socket is closed has stopped if no message arrives for this time, in s."""
 
 _MAX_SCENE_READS: Final = 10
-"""Number of attempts to read scene and materials while other clients change the materials."""
+"""Number of attempts to read a consistent scene and materials while other clients change the materials."""
 
 
 def ended_early(because: str | None) -> str | None:
@@ -76,9 +76,9 @@ class RecordSummary:
     started: Moment | None
     """Clocks of the daemon at the start; None if the daemon does not report them."""
     ended: Moment | None
-    """Clocks of the daemon at the end."""
+    """Clocks of the daemon at the end; None if the daemon does not report them."""
     ended_because: str | None
-    """Reason of the end, STOPPED_REASON if the recording was stopped; None if its duration is over."""
+    """Why the recording ended: STOPPED_REASON, DAEMON_STOPPED_REASON or another; None if its duration was over."""
     warning: str | None
     """Warning if the fraction of missed periods exceeds `servo.overruns.threshold`, otherwise None."""
 

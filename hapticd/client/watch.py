@@ -30,7 +30,7 @@ from hapticd.protocol.results import State, Status
 FRAME_PERIOD_S: Final = 1 / 15
 """Time between two pictures, in s."""
 LOST_AFTER_S: Final = 1.5
-"""Time without messages after which the daemon is shown as lost, in s. Its status arrives every second."""
+"""Time without messages after which the daemon is shown as lost, in s. The daemon sends its status every second."""
 PANEL_WIDTH: Final = 33
 """Width of the figures next to the picture, in characters."""
 EVENT_LINES: Final = 4
@@ -41,7 +41,7 @@ MIN_HALF_VIEW_M: Final = 0.08
 _BAR_WIDTH: Final = 12
 """Width of the bar of a force, in characters."""
 _LINE_LABELS: Final = ("tick", "position", "force x", "force y", "touching", "rate", "lateness", "missed", "faults")
-"""Labels of the figures in a line for a file or a pipe."""
+"""Labels of the figures that a line for a file or a pipe shows."""
 _QUIET_EVENTS: Final = frozenset(("release", "overrun"))
 """Events that are not listed, since the figures `touching` and `missed` show them."""
 
@@ -239,13 +239,13 @@ def event_line(event: Mapping[str, Any]) -> str:
 
 
 def bar(value: float, scale: float, width: int) -> str:
-    """Return a bar from the left of `width` characters; it is full if `value` is `scale` or more."""
+    """Return a bar of `width` characters that grows from the left; it is full if `value` is `scale` or more."""
     filled = min(width, round(abs(value) / scale * width))
     return "█" * filled + "·" * (width - filled)
 
 
 def signed_bar(value: float, scale: float, width: int) -> str:
-    """Return a bar from the middle of `width` characters, to the left for negative values."""
+    """Return a bar of `width` characters that grows from the middle, to the left for negative values."""
     left, right = (bar(max(0.0, part), scale, width // 2) for part in (-value, value))
     return f"{left[::-1]}│{right}"
 
@@ -260,7 +260,7 @@ def draw_scene(scene: Mapping[str, Any], columns: int, rows: int, cell_m: float)
     cells: npt.NDArray[np.str_] = np.full((rows, columns), " ")
 
     def slab(center: Sequence[float], size: Sequence[float], angle: float) -> npt.NDArray[np.bool_]:
-        """Return the mask of the cells in a rectangle, which is at least one character wide and high."""
+        """Return which characters of the picture lie in a rectangle, which is at least one character wide and high."""
         right, up = x - center[0], y - center[1]
         along = right * math.cos(angle) + up * math.sin(angle)
         across = up * math.cos(angle) - right * math.sin(angle)

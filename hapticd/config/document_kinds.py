@@ -56,7 +56,7 @@ KEYS_OF_KIND: Final[dict[Kind, tuple[str, ...]]] = {
     "study": ("experiment", "factors", "trial", "questions"),
     "sweep": ("vary", "measure", "refine"),
 }
-"""Keys by kind. A document with any of these keys is of this kind."""
+"""Keys by kind of document. A document with any of the keys of a kind is of that kind."""
 KINDS_WITH_PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
     "objects": ("scene", "bare scene", "objects"),
     "materials": ("materials", "bare materials"),

@@ -23,7 +23,7 @@ ReportId: TypeAlias = Annotated[int, Field(ge=0, le=255)]
 MAX_REPORT_BYTES = 255
 """Maximum size of a report, without its id."""
 MAX_REPORTS = 24
-"""Maximum number of reports of `disable`."""
+"""Maximum number of reports in the key `disable`, which switch the device off."""
 
 
 def _hex(text: str) -> str:

@@ -54,16 +54,16 @@ MAX_TAP_POINTS: Final = 256
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
 """Minimum difference of two approach speeds of `tap.amplitudes`."""
 MAX_PROVENANCE_FILES: Final = 1000
-"""Maximum number of recordings of a material's provenance."""
+"""Maximum number of recordings that the provenance of a material lists."""
 MAX_REASONS: Final = 64
-"""Maximum number of reasons of a verdict."""
+"""Maximum number of reasons that the verdict on a fit (good, fair or poor) lists."""
 MAX_REASON_CHARACTERS: Final = 1000
-"""Maximum length of a reason."""
+"""Maximum length of one reason of a verdict on a fit."""
 
 TapPoint: TypeAlias = Annotated[
     tuple[Annotated[float, Field(ge=1e-4, le=100)], Annotated[float, Field(ge=0, le=1e5)]], Strict(False)
 ]
-"""[approach speed in m/s, amplitude in m/s^2]."""
+"""A point of a tap's amplitude over approach speed: [speed in m/s, amplitude in m/s^2]."""
 
 
 def _rising(interval: tuple[float, float]) -> tuple[float, float]:
@@ -85,7 +85,7 @@ Interval: TypeAlias = Annotated[
     Strict(False),
     AfterValidator(_rising),
 ]
-"""[low, high] in the unit of the fitted value."""
+"""A confidence interval [low, high], in the unit of the fitted value."""
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\u0000-\u001f\u007f]+$")]
 
 

@@ -62,17 +62,17 @@ class Mode:
 
 
 def given(*names: str) -> JsonDict:
-    """Return the JSON Schema that requires all these keys, with a value other than null."""
+    """Return a JSON Schema that requires each of the keys `names`, with a value other than null."""
     return {"required": [*names], "properties": {name: {"not": {"type": "null"}} for name in names}}
 
 
 def absent(*names: str) -> JsonDict:
-    """Return the JSON Schema that requires all these keys to be absent or null."""
+    """Return a JSON Schema that requires each of the keys `names` to be absent or null."""
     return {"properties": {name: {"type": "null"} for name in names}}
 
 
 def one_of(*names: str) -> JsonDict:
-    """Return the JSON Schema that requires exactly one of these keys; `a b` stands for both keys together."""
+    """Return a JSON Schema that requires exactly one of the keys `names`; "a b" stands for both keys together."""
     alternatives = [name.split() for name in names]
     return {
         "oneOf": [

@@ -51,7 +51,7 @@ MIN_STEP_S: Final = 1e-5
 MAX_TIME_S: Final = 86_400.0
 """Maximum time of a waypoint: one day."""
 MAX_CSV_BYTES: Final = 16 * 1024 * 1024
-"""Maximum size of a file of waypoints."""
+"""Maximum size of a CSV file of waypoints, in bytes."""
 
 TRAVEL_SPEED_M_PER_S: Final = 0.15
 """Speed of the hand on its way to the beginning of a gesture, and when it withdraws."""
@@ -60,7 +60,7 @@ LOWERING_SPEED_M_PER_S: Final = 0.02
 PRESS_TIME_S: Final = 0.15
 """Time for which a tap presses and a puncture stays inside; all modes of the library have decayed by then."""
 SPEED_TOLERANCE: Final = 0.01
-"""Maximum relative deviation of the handle's speed from the commanded speed at contact."""
+"""Maximum relative deviation of the handle's speed at contact from the speed that the gesture commands."""
 CLEARANCE_HEIGHT_M: Final = 0.005
 """Height from which the hand is lowered for a stroke; also added to other heights and to a puncture's depth."""
 
@@ -170,7 +170,7 @@ Gesture: TypeAlias = Annotated[TapGesture | StrokeGesture | PunctureGesture, Fie
 Waypoint: TypeAlias = Annotated[
     tuple[Annotated[float, Field(ge=0, le=MAX_TIME_S)], Coordinate, Coordinate], Strict(False)
 ]
-"""[t_s, x_m, y_m]."""
+"""A waypoint [t_s, x_m, y_m]: a time, and the position of the hand at this time."""
 
 
 class OperatorParams(Model):

@@ -42,7 +42,7 @@ MIN_PATCH_M: Final = 1e-5
 TOUCHING_DISTANCE_M: Final = 1e-9
 """Edges of patches that are nearer than this touch, since 0.1 + 0.2 is not 0.3 in floating point."""
 _ROUNDING_OF_WIDTHS: Final = 1e-6
-"""Relative tolerance of MIN_PATCH_M for rounding."""
+"""Relative tolerance of the minimum width MIN_PATCH_M, for rounding."""
 _MAX_SHOWN_OVERLAPS: Final = 5
 """Largest number of overlaps that a message lists; the others are counted."""
 MIN_NORMAL_LENGTH = 1e-9

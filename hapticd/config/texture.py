@@ -44,7 +44,7 @@ MAX_ORDER: Final = 32
 MAX_MODELS: Final = 64
 """Maximum number of models of a texture."""
 MAX_SEED: Final = 2**53
-"""Maximum seed; a JSON number holds it exactly."""
+"""Maximum seed of a texture's noise: the largest integer that a JSON number holds exactly."""
 MAX_RMS_M_PER_S2: Final = 1e6
 """Maximum RMS acceleration of a model."""
 

@@ -15,7 +15,7 @@ from hapticd.config.scene import Scene, SceneObject, Wall
 from hapticd.config.texture import Autoregressive
 
 MAX_LISTED_CHANGES: Final = 1000
-"""Largest number of objects, and of materials, that a change lists. If more change, clients request the scene."""
+"""Largest number of objects, and of materials, in a message on the topic `change`. Above, clients get the scene."""
 MAX_FLIGHT_OBJECTS: Final = 2000
 """Largest number of objects of a scene in a flight file: encoding a larger scene would delay commands."""
 MAX_FLIGHT_PARTS: Final = 4000
@@ -34,7 +34,7 @@ class Revised(NamedTuple):
     objects: Mapping[str, SceneObject | None]
     materials: Mapping[str, Material | None]
     complete: tuple[Scene, Materials] | None
-    """The new scene and materials if more has changed than a change lists, otherwise None."""
+    """The new scene and materials if more has changed than a message on the topic `change` lists, otherwise None."""
     rate_hz: float | None = None
     """The new servo rate if it has changed, otherwise None."""
 

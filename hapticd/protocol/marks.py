@@ -16,7 +16,7 @@ from hapticd.base.model import DescribedAs, Model
 from hapticd.base.yaml_source import Json
 
 MAX_MARK_DATA_BYTES: Final = 8192
-"""Largest size of the data of a mark as JSON, in bytes."""
+"""Largest size of the data that a client attaches to a mark, as JSON, in bytes."""
 
 
 class MarkParams(Model):

@@ -22,7 +22,7 @@ PROTOCOL_VERSION: Final = 1
 """Version of the protocol, which is independent of the version of the package."""
 
 MAX_GESTURE_ENDS: Final = 16
-"""Number of the latest ends of gestures that a status lists."""
+"""Number of ends of gestures (motions of the simulated hand) that a status lists, the latest ones."""
 
 MAX_BODY_BYTES: Final = 2 * 1024 * 1024
 """Largest body of a request, in bytes."""
@@ -34,7 +34,7 @@ _MAX_SHARED_STRING_CHARACTERS: Final = 64
 """Equal strings up to this length, in characters, share memory in a decoded body; most are names of materials."""
 
 _MAX_FLAT_BODY_BYTES: Final = 4096
-"""Largest body decoded without a scan of its structure, in bytes. A false length in it allocates 4096 elements."""
+"""Largest body decoded without a scan of its structure, in bytes. A false length in such a body costs 4096 elements."""
 # The tags of maps and arrays, and of extensions. They also occur inside strings and numbers, so their count is an upper
 # bound of the number of containers or extensions.
 _CONTAINER_TAGS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])

@@ -28,7 +28,7 @@ _LONG_SIZE_FORMAT: Final = struct.Struct(">Q")
 _MAX_KEPT_FRAMES: Final = 2
 """Largest number of frames of a message that is kept in full."""
 _NO_FRAME: Final = -1
-"""Value of `Parser._left` between two frames."""
+"""Value of `Parser._left`, the number of missing bytes, between two frames."""
 _NO_GREETING: Final = -2
 """Value of `Parser._left` before the greeting."""
 
