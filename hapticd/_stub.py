@@ -66,7 +66,7 @@ class FFI:
 
 
 def stub_of(header: str) -> str:
-    """Return the text of the stub: cffi's types, an enum for each of the header's, and the library's functions."""
+    """Return the text of the stub: cffi's types, an enum for each enum of the header, and the library's functions."""
     code = re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL)
     enums, library = "", "\nclass Lib:\n"
     for name in re.findall(r"^#define (HD_\w+) \d+", code, re.MULTILINE):

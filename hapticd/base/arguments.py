@@ -20,7 +20,7 @@ def invalid_argument(where: str, problem: str) -> InvalidError:
 
 
 def seconds(name: str, value: object, *, zero: bool = False) -> float:
-    """Check a finite time in s, more than 0, or with `zero` at least 0. Raises InvalidError."""
+    """Return a checked, finite time in s, more than 0, or with `zero` at least 0. Raises InvalidError."""
     number = _number(value)
     if number is None or not 0 <= number < math.inf or (number == 0 and not zero):
         least = "of at least 0" if zero else "of more than 0"
@@ -29,7 +29,7 @@ def seconds(name: str, value: object, *, zero: bool = False) -> float:
 
 
 def within(name: str, value: object, most: float, unit: str) -> float:
-    """Check a number from -`most` to `most`. Raises InvalidError."""
+    """Return a checked number from -`most` to `most`. Raises InvalidError."""
     number = _number(value)
     if number is None or not -most <= number <= most:
         raise invalid_argument(name, f"must be a number from {-most:g} to {most:g} {unit}, is {shown(value)}")
@@ -37,7 +37,7 @@ def within(name: str, value: object, most: float, unit: str) -> float:
 
 
 def flag(name: str, value: object) -> bool:
-    """Check a boolean of Python or numpy. Raises InvalidError."""
+    """Return a checked boolean of Python or numpy. Raises InvalidError."""
     made = value.tolist() if hasattr(value, "tolist") else value
     if not isinstance(made, bool):
         raise invalid_argument(name, f"must be True or False, is {shown(value)}")
@@ -45,7 +45,7 @@ def flag(name: str, value: object) -> bool:
 
 
 def path(name: str, value: object) -> str:
-    """Check the path of a file or a folder. Raises InvalidError."""
+    """Return the checked path of a file or a folder. Raises InvalidError."""
     if not isinstance(value, str | os.PathLike):
         raise invalid_argument(name, f"must be a path, is {shown(value)}")
     found = os.fspath(value)
@@ -62,7 +62,7 @@ def mapping(name: str, value: object) -> dict[str, object]:
 
 
 def numbers(name: str, value: object) -> list[float]:
-    """Check a list, a tuple or a numpy array of numbers. Raises InvalidError."""
+    """Return a list, a tuple or a numpy array of numbers as a checked list. Raises InvalidError."""
     found = []
     for place, each in enumerate(_items(name, value, "numbers")):
         number = _number(each)
@@ -73,12 +73,12 @@ def numbers(name: str, value: object) -> list[float]:
 
 
 def rows(name: str, value: object) -> list[list[float]]:
-    """Check a list of lists of numbers, or a numpy array of two dimensions. Raises InvalidError."""
+    """Return a list of lists of numbers, or a numpy array of two dimensions, as checked lists. Raises InvalidError."""
     return [numbers(f"{name}[{place}]", each) for place, each in enumerate(_items(name, value, "lists of numbers"))]
 
 
 def texts(name: str, value: object) -> list[str]:
-    """Check a list of strings. Raises InvalidError, also for a single string."""
+    """Return a checked list of strings. Raises InvalidError, also for a single string."""
     found = []
     for place, each in enumerate(_items(name, value, "texts")):
         if not isinstance(each, str):

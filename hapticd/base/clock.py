@@ -21,12 +21,12 @@ class Moment:
 
     @property
     def utc(self) -> datetime:
-        """The time of day, to the microsecond."""
+        """The time of day of this moment in UTC, to the microsecond."""
         return datetime.fromtimestamp(self.realtime_ns // 1000 / 1e6, UTC)
 
 
 def read() -> Moment:
-    """Read CLOCK_REALTIME between two readings of CLOCK_MONOTONIC, and return it with their mean."""
+    """Read CLOCK_REALTIME between two readings of CLOCK_MONOTONIC; return the time of day and the mean of the two."""
     tries = []
     for _ in range(CLOCK_READING_TRIES):
         before = time.monotonic_ns()
@@ -37,7 +37,7 @@ def read() -> Moment:
 
 
 def moment_of(value: object) -> Moment | None:
-    """Return the moment in a received map, or None if `value` is not such a map."""
+    """Return the moment in a received map with both clocks, or None if `value` is not such a map."""
     if not isinstance(value, Mapping):
         return None
     monotonic_ns, realtime_ns = value.get("monotonic_ns"), value.get("realtime_ns")

@@ -58,12 +58,12 @@ class Encoded:
 
 
 def encoded(value: object) -> Encoded:
-    """Encode a value. Raises NotEncodableError."""
+    """Encode a value as msgpack, once for many messages. Raises NotEncodableError."""
     return Encoded((encode(value),))
 
 
 def encoded_map(members: Mapping[str, object]) -> Encoded:
-    """Encode a map. Its values may be `Encoded`. Raises NotEncodableError."""
+    """Encode a map as msgpack. The values of the map may be `Encoded`. Raises NotEncodableError."""
     found: list[bytes] = []
     small = bytearray(msgpack.Packer(buf_size=_PACKER_BUFFER_BYTES).pack_map_header(len(members)))
     for key, value in members.items():
@@ -86,12 +86,12 @@ class Members:
 
     @classmethod
     def of(cls, members: Mapping[str, object]) -> Members:
-        """Encode these members. Raises NotEncodableError."""
+        """Encode the members of a map as msgpack. Raises NotEncodableError."""
         data = encode(members)
         return cls(len(members), data[_header_size(len(members)) :])
 
     def joined(self, members: Mapping[str, object]) -> bytes:
-        """Return the encoded map of these members and `members`. Raises NotEncodableError."""
+        """Return one encoded map that has both the encoded members and `members`. Raises NotEncodableError."""
         count = self.count + len(members)
         header = bytes((0x80 | count,)) if count < 16 else b"\xde" + count.to_bytes(2, "big")
         return header + self.data + encode(members)[_header_size(len(members)) :]

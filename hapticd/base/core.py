@@ -71,9 +71,9 @@ SAMPLE_DTYPE = record_dtype("struct hd_sample")
 EVENT_DTYPE = record_dtype("struct hd_event")
 
 NO_SLOT = lib.HD_NO_SLOT
-"""`slot` of an event or a reset that concerns no single object."""
+"""Value of `slot` (index of an object) in an event or a reset that concerns no single object."""
 PLAY_SLOT = lib.HD_PLAY_SLOT
-"""`slot` of the modes that a `play` command started."""
+"""Value of `slot` (index of an object) for ringing modes that a `play` command started."""
 PASSIVITY_AGE_MAX: int = lib.HD_PASSIVITY_AGE_MAX
 """Maximum age of a position report that the passivity observer accepts, in periods."""
 HISTOGRAM_EDGES_NS: tuple[int, ...] = tuple(map(lib.hd_histogram_edge_ns, range(lib.HD_HISTOGRAM_BINS - 1)))
@@ -81,7 +81,7 @@ HISTOGRAM_EDGES_NS: tuple[int, ...] = tuple(map(lib.hd_histogram_edge_ns, range(
 MAX_PENDING_MARKS: int = lib.HD_MARKS
 """Maximum number of marks that the servo has not answered yet; the ring of events has room for them."""
 MAX_CORRECTED_SAMPLES: int = lib.HD_KICKS
-"""Number of samples at the beginning of a strike that can be corrected."""
+"""Number of force samples at the beginning of a strike that compensation can correct."""
 TUNE_NODE_NUMBERS: int = lib.HD_TUNE_NODE
 """Count of values that describe compensation at one frequency: enum hd_tune_number, csrc/scene/hd_table_numbers.h."""
 MAX_WAVEFORM_SAMPLES: int = lib.HD_WAVE_SAMPLES
@@ -135,7 +135,7 @@ def records(dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:
 
 
 def pointer(ctype: str, array: npt.NDArray[np.generic]) -> CData:
-    """Return the memory of an array as a C array such as "struct hd_object[]" or "double[]"; it keeps the array alive.
+    """Return the memory of an array as a C array, for example "double[]"; the returned pointer keeps the array alive.
 
     Raises ValueError if the array is not C-contiguous, or its size is not a multiple of the C item's.
     """

@@ -53,7 +53,7 @@ class InvalidError(HapticdError):
 
 
 def in_order(problems: Iterable[Problem]) -> tuple[Problem, ...]:
-    """Sort faults by file, line and column. Those without a file come first, in the given order."""
+    """Sort faults by file, line and column. Faults without a file come first, in the given order."""
 
     def place(problem: Problem) -> tuple[str, int, int]:
         found = _LOCATION_PATTERN.match(problem.where)
@@ -63,7 +63,7 @@ def in_order(problems: Iterable[Problem]) -> tuple[Problem, ...]:
 
 
 def lines_of(problems: Sequence[Problem]) -> list[str]:
-    """Return a line for each of the first 50 faults, and one with the number of the others."""
+    """Return a line of text for each of the first 50 faults, and a line with the number of the others."""
     hidden = len(problems) - _MAX_SHOWN_PROBLEMS
     return [*map(str, problems[:_MAX_SHOWN_PROBLEMS]), *([f"and {hidden} more"] if hidden > 0 else [])]
 
@@ -115,7 +115,7 @@ def path_text(path: Sequence[str | int]) -> str:
 
 
 def path_of_text(text: str) -> Path:
-    """Return the path whose `path_text` is `text`."""
+    """Return the path (keys and indices) that `path_text` writes as `text`."""
     parts = re.findall(r'"(?:[^"\\]|\\.)*"|\[\d+\]|[^.\[\]"]+', text)
     return tuple(json.loads(part) if part[0] == '"' else int(part[1:-1]) if part[0] == "[" else part for part in parts)
 

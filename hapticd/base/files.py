@@ -77,10 +77,10 @@ def write_atomically(
 def atomic_file(
     path: str | os.PathLike[str], overwrite: bool, *, mode: int = 0o666, synced: bool = False
 ) -> Iterator[BinaryIO]:
-    """Open a file to write to, which gets the name `path` at the end of the block; if that fails, `path` is unchanged.
+    """Open a file to write, which gets the name `path` at the end of the `with` block; on failure `path` is unchanged.
 
-    With `synced` its data are on disk by then. If another file has appeared at `path` since `check_new` and `overwrite`
-    is False, the new file gets the next free name, and a HapticdError with this name is raised.
+    With `synced` the file's data are on disk by then. If another file has appeared at `path` since `check_new` and
+    `overwrite` is False, the new file gets the next free name, and a HapticdError with this name is raised.
     """
     check_regular(path)
     target = Path(os.path.realpath(path))
@@ -102,7 +102,7 @@ def atomic_file(
 
 
 def temporary_path(target: Path) -> Path:
-    """Return an unused hidden path in the target's folder: `.NAME.PROCESS.RANDOM.part`."""
+    """Return an unused hidden path in the folder of the file `target`: `.NAME.PROCESS.RANDOM.part`."""
     return target.with_name(f".{target.name}.{os.getpid()}.{secrets.token_hex(8)}.part")
 
 
@@ -127,7 +127,7 @@ def rename_to_free_name(part: Path, target: Path, overwrite: bool) -> Path:
 
 
 def _rename(part: Path, place: Path, overwrite: bool) -> None:
-    """Rename a file. Raises FileExistsError if the name is taken, even if another process has just taken it."""
+    """Rename a file to `place`. Raises FileExistsError if the name is taken, even if only since a moment ago."""
     if overwrite and _not_regular(place) is None:
         os.replace(part, place)
         return
@@ -151,7 +151,7 @@ def _rename(part: Path, place: Path, overwrite: bool) -> None:
 
 
 def displaced(wanted: str | os.PathLike[str], place: str | os.PathLike[str]) -> str:
-    """Return the message for a file that was written under another name than `wanted`."""
+    """Return the message about a file that was written to `place`, since the name `wanted` was taken."""
     return f"{os.fspath(wanted)}: another program created this file meanwhile; the output is in {os.fspath(place)}"
 
 

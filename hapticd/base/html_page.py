@@ -35,14 +35,17 @@ def page(title: str, body: str) -> str:
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], of_text: Sequence[bool], caption: str = "") -> str:
-    """Return an HTML table of texts, which scrolls sideways in a narrow window. Columns `of_text` are aligned left."""
+    """Return an HTML table of texts, which scrolls sideways in a narrow window.
+
+    `of_text` says for each column whether it holds text, aligned left, or numbers.
+    """
     return table_of_html(columns, [[html.escape(text) for text in row] for row in rows], of_text, caption)
 
 
 def table_of_html(
     columns: Sequence[str], rows: Sequence[Sequence[str]], of_text: Sequence[bool], caption: str = ""
 ) -> str:
-    """Return an HTML table whose cells are HTML; see `table`."""
+    """Return an HTML table whose cells are HTML; the arguments are those of `table`."""
     classes = [' class="text"' if is_text else "" for is_text in of_text]
     body = "\n".join(_row("td", row, classes) for row in rows)
     heads = _row("th", [html.escape(column) for column in columns], classes)

@@ -19,13 +19,13 @@ _LATTICE_CONTEXT: Final = Context(prec=100)
 
 
 def coefficients_of(reflection: Sequence[float]) -> tuple[float, ...]:
-    """Return a_1 .. a_p of the filter with k_1 .. k_p (step-up recursion)."""
+    """Return the coefficients a_1 .. a_p of the filter with reflection coefficients k_1 .. k_p (step-up recursion)."""
     with localcontext(_LATTICE_CONTEXT):
         return tuple(float(a) for a in _step_up([Decimal(float(k)) for k in reflection])[1:])
 
 
 def reflection_of(coefficients: Sequence[float]) -> Reflection:
-    """Return k_1 .. k_p of a stable filter with a_1 .. a_p (step-down recursion).
+    """Return the reflection coefficients k_1 .. k_p of a stable filter with coefficients a_1 .. a_p (step-down).
 
     Raises ValueError if the filter is unstable: the recursion is Jury's test. A reflection coefficient that rounds to
     1 or -1 counts as unstable.
@@ -50,7 +50,7 @@ def _step_up(reflection: Sequence[Decimal]) -> list[Decimal]:
 
 
 def _step_down(polynomial: list[Decimal]) -> tuple[Reflection, list[list[Decimal]]]:
-    """Return k_1 .. k_p, and the polynomials A_p .. A_0 of the recursion."""
+    """Return the reflection coefficients k_1 .. k_p of the polynomial A_p, and the recursion's A_p .. A_0."""
     if not all(a.is_finite() for a in polynomial):
         raise ValueError("coefficients must be finite")
     stages: list[float] = []
@@ -67,7 +67,7 @@ def _step_down(polynomial: list[Decimal]) -> tuple[Reflection, list[list[Decimal
 
 
 def _monic(roots: Iterable[complex]) -> list[Decimal]:
-    """Return the polynomial in z^-1 with these zeros, and the conjugates of those off the real axis."""
+    """Return the polynomial in z^-1 whose zeros are `roots`, and the conjugates of those off the real axis."""
     product = [Decimal(1)]
     for root in roots:
         re, im = Decimal(root.real), Decimal(root.imag)

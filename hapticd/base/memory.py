@@ -18,7 +18,7 @@ These blocks then do not fragment the heap, because no smaller block is allocate
 def return_large_blocks(large_block: int = MIN_RETURNED_BLOCK_BYTES) -> None:
     """Have the C library take blocks of at least `large_block` bytes from the kernel, and return them when freed.
 
-    Holds for the process from now on. Raises HapticdError if the C library refuses the size.
+    This holds for the process from now on. Raises HapticdError if the C library refuses the size.
     """
     if lib.hd_memory_large_from(large_block) != lib.HD_OK:
         raise HapticdError(ffi.string(lib.hd_invalid_reason()).decode())

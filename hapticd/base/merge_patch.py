@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 def merge_patch(target: Json, patch: Json) -> Json:
-    """Return `target` with `patch` applied: mappings merge key by key, null removes a key, anything else replaces.
+    """Return `target` with `patch` applied: mappings merge key by key, null removes a key, other values replace.
 
     Neither argument is changed; the result may share unchanged parts with both.
     """

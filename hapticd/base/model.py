@@ -73,7 +73,7 @@ class Model(BaseModel):
     by_name: ClassVar[dict[str, type["Model"]]] = {}
 
     def __init__(self, /, **data: Any) -> None:
-        """Validate the given keys. Raises InvalidError with every fault."""
+        """Create the model from its keys, and validate them. Raises InvalidError with every fault."""
         with _invalid():
             super().__init__(**data)
 
@@ -100,7 +100,7 @@ class Model(BaseModel):
 
     @classmethod
     def parsed(cls, data: object) -> Self:
-        """Validate for a reader of documents, which adds file and line to faults. Raises pydantic's ValidationError."""
+        """Return validated data as a model. Raises pydantic's ValidationError, without file and line."""
         return super().model_validate(data)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -146,7 +146,7 @@ def one_of_two(model: Model, one: str, other: str) -> list[str]:
 
 @contextmanager
 def _invalid() -> Iterator[None]:
-    """Raise InvalidError instead of pydantic's ValidationError."""
+    """Raise InvalidError for a ValidationError of pydantic in the `with` block."""
     try:
         yield
     except ValidationError as error:
@@ -178,7 +178,7 @@ def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
 def entry_by_entry(
     given: Mapping[str, object], parse: Callable[[dict[str, object]], Mapping[str, T]], where: Path
 ) -> Steps[dict[str, T]]:
-    """Parse a mapping, whose path is `where`, entry by entry, and pause after each.
+    """Parse a mapping, whose path is `where`, entry by entry: a generator that yields after each entry.
 
     `parse` gets one entry at a time, since pydantic reports all faults of a call at once, and one entry may have
     thousands. Raises InvalidError with the faults of all entries; after MAX_FAULTS the others are not read.
@@ -223,7 +223,7 @@ def at_most(count: int) -> BeforeValidator:
 
 
 def check_count(given: Sized, most: int, path: Path) -> None:
-    """Raise InvalidError, for the place `path`, if there are more than `most` entries."""
+    """Raise InvalidError, for the place `path`, if the collection `given` has more than `most` entries."""
     if len(given) > most:
         raise InvalidError([Problem(path_text(path), _too_many(given, most))])
 
@@ -364,7 +364,7 @@ def _bare(annotation: object) -> object:
 
 
 def _members(kind: object) -> dict[str, object] | None:
-    """Return the models of a union by their values of the key `kind`; None for any other type."""
+    """Return the models of a union, each by its value of the key `kind`; None if `kind` is another type."""
     if get_origin(kind) not in (Union, UnionType):
         return None
     return dict(_tagged(get_args(kind)))

@@ -14,7 +14,7 @@ Steps: TypeAlias = Generator[None, None, T]
 
 
 def finish(steps: Steps[T]) -> T:
-    """Do all parts without pauses, and return the result."""
+    """Run a generator of long work to its end without pauses, and return the result of the work."""
     while True:
         try:
             next(steps)

@@ -25,7 +25,7 @@ DAEMON_THREADS: Final = 16
 
 
 def refused() -> str:
-    """Return the error text for a thread that could not be started."""
+    """Return the error text for a thread that the system refused to start."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NPROC)
     of = "" if limit == resource.RLIM_INFINITY else f" of {limit} processes and threads"
     return f"the system refuses another thread: the user's limit{of} is reached (ulimit -u), or memory is short"

@@ -39,7 +39,7 @@ def count(amount: int, thing: str, things: str | None = None) -> str:
 def si(value: float, unit: str, digits: int = DEFAULT_DIGITS) -> str:
     """Format a quantity with an SI prefix: 10000 Hz -> 10 kHz; 0.0025 s -> 2.5 ms; 0.0003 s -> 300 us.
 
-    For units that take a prefix; `quantity` is for the others.
+    Use `quantity` for units that do not take a prefix.
     """
     if value == 0 or not math.isfinite(value):
         return quantity(value, unit)

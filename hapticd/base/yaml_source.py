@@ -51,7 +51,7 @@ _UNPRINTABLE_PATTERN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd
 
 @dataclass(slots=True)
 class Marks:
-    """Line and column, from 1, of a value (in a mapping, of its key), and the marks of its members."""
+    """Line and column, from 1, of a value (in a mapping, of its key), and the same of the value's members."""
 
     line: int
     column: int
@@ -59,7 +59,7 @@ class Marks:
 
 
 _NO_CHILDREN: dict[str | int, Marks] = {}
-"""Shared by all scalars; it stays empty."""
+"""The members of a scalar: an empty mapping that all scalars share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class Document:
         return replace(self, data={key: self.data}, _above=(key, *self._above))
 
     def problem(self, path: Sequence[str | int], text: str) -> Problem:
-        """Return a fault of the value at `path`."""
+        """Return the fault `text` of the value at `path`, with its place in the file."""
         return Problem(self.where(path), text)
 
     def place(self, path: Sequence[str | int]) -> str:
@@ -89,11 +89,11 @@ class Document:
         return f"{printable(self.name or '')}:{line}:{column}"
 
     def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
-        """Return a path as it is in the file, without the keys that `below` added."""
+        """Return the path of a value as it is in the file, without the keys that `below` added."""
         return path[len(self._above) :]
 
     def where(self, path: Sequence[str | int]) -> str:
-        """Return a place as text: `FILE:LINE:COLUMN: servo.rate_hz`, or without a file the path alone."""
+        """Return the place of the value at `path`: `FILE:LINE:COLUMN: servo.rate_hz`, without a file only the path."""
         text = path_text(self.own(path))
         if self.name is None:
             return text
@@ -170,7 +170,7 @@ def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.Bas
 
 
 def _complaint(text: str, error: yaml.MarkedYAMLError) -> tuple[int, int, str]:
-    """Return line and column, from 0, and text of a parser's error; a tab in the indentation is reported as such."""
+    """Return line and column, from 0, and text of an error of PyYAML; tabs in the indentation get a clearer text."""
     mark, problem = error.problem_mark, error.problem or "not YAML"
     line, column = (0, 0) if mark is None else (mark.line, mark.column)
     if problem == _TOO_DEEP:

@@ -12,7 +12,7 @@ _PLAIN_PATTERN: Final = re.compile("[A-Za-z_][A-Za-z0-9_-]*")
 
 
 def yaml_text(value: Mapping[str, object]) -> str:
-    """Return YAML text, without a line break at its end."""
+    """Return a mapping as YAML text, without a line break at the end."""
     return "\n".join(_block(value, ""))
 
 

@@ -44,7 +44,7 @@ def connect(
 
 
 class Connecting:
-    """A client that is not yet connected: await it, or use it in `async with`."""
+    """A client that is not yet connected: await the object, or use it in `async with`."""
 
     def __init__(self, connected: Callable[[], Coroutine[Any, Any, Client]]) -> None:
         self._connected = connected

@@ -177,7 +177,7 @@ def _subscription(
 
 
 class _Block(AbstractContextManager[T]):
-    """A context manager for `with` that runs an asynchronous one."""
+    """A context manager for `with` that runs an asynchronous context manager of a blocking client."""
 
     def __init__(self, context: AbstractAsyncContextManager[T]) -> None:
         self._context = context
@@ -257,7 +257,7 @@ class Client:
     telemetry = _subscription(methods.Client.telemetry)
 
     def stream(self) -> Stream:
-        """Return a stream, as described by methods.Client.stream."""
+        """Return a stream of targets or forces, as described by methods.Client.stream."""
         self._client._refuse_closed()
         return Stream(self._client._sender, None)
 
@@ -289,7 +289,7 @@ class Subscription(Generic[T]):
         self._subscription.close()
 
     def receive(self, timeout_s: float) -> T | None:
-        """Return the next item, as described by methods.Subscription.receive."""
+        """Return the next item of telemetry, as described by methods.Subscription.receive."""
         return run(self._subscription.receive(timeout_s))
 
     receive = _like(receive, methods.Subscription.receive)

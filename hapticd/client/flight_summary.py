@@ -31,7 +31,7 @@ def written_flight(client: Client) -> str:
 
 
 def summed_up(written: str, copy: str | None, overwrite: bool) -> tuple[dict[str, object], str]:
-    """Return a summary of a flight file as JSON and as a line of text. With `copy`, also save it there.
+    """Return a summary of a flight file, as JSON and as a line of text; with `copy` also copy the file to that path.
 
     Raises HapticdError if a file cannot be read or written.
     """

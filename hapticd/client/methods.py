@@ -68,7 +68,7 @@ READY_TOPIC: Final = b"state"
 
 
 class Client(ABC):
-    """The base of both clients. Subclasses implement sending and waiting."""
+    """The base of the blocking and the asyncio client. Subclasses implement sending and waiting."""
 
     def __init__(self, place: RuntimePaths, timeout_s: float = REPLY_TIMEOUT_S) -> None:
         self.paths: RuntimePaths = place
@@ -101,7 +101,7 @@ class Client(ABC):
 
     @abstractmethod
     async def _exchange(self, id: int, body: bytes) -> Response:
-        """Send a call and return its reply. Raises zmq.Again after `timeout_s`."""
+        """Send a call to the daemon and return the reply. Raises zmq.Again after the client's `timeout_s`."""
 
     @abstractmethod
     async def _disconnect(self) -> None:
@@ -122,7 +122,7 @@ class Client(ABC):
 
     @abstractmethod
     def _start(self, name: str, work: Callable[[Wait], Coroutine[Any, Any, None]]) -> Callable[[], Awaitable[None]]:
-        """Start background work; return a function that ends it and raises its error, if any."""
+        """Start background work; return a function that ends the work and raises the error of the work, if any."""
 
     @abstractmethod
     def _blocking(self) -> AbstractContextManager[Daemon]:
@@ -175,11 +175,11 @@ class Client(ABC):
         return cast(Status, await self.call("get_status", {"detail": True} if detail else {}))
 
     async def get_state(self) -> State:
-        """Return the newest sample, as `states` yields it."""
+        """Return the newest sample of the servo (positions, forces, contacts), as `states` yields it."""
         return cast(State, await self.call("get_state"))
 
     async def state(self) -> State:
-        """Return the newest sample; short for `get_state`."""
+        """Return the newest sample of the servo (positions, forces, contacts); short for `get_state`."""
         return await self.get_state()
 
     async def get_config(self) -> ConfigResult:
@@ -187,7 +187,7 @@ class Client(ABC):
         return cast(ConfigResult, await self.call("get_config"))
 
     async def get_scene(self) -> SceneResult:
-        """Return the scene and its revision."""
+        """Return the scene, and its revision: the number of the last change of scene or materials."""
         return cast(SceneResult, await self.call("get_scene"))
 
     async def set_scene(
@@ -204,7 +204,7 @@ class Client(ABC):
     async def update_scene(
         self, objects: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
-        """Merge changes into objects, by id: a JSON Merge Patch (RFC 7396) of the scene's `objects`."""
+        """Change objects of the scene, by id, with a JSON Merge Patch (RFC 7396) of the scene's `objects`."""
         params: dict[str, object] = {"objects": patch_tree(objects, "scene", "objects")}
         return await self._change("update_scene", params, expect_revision, wait)
 
@@ -225,7 +225,7 @@ class Client(ABC):
     async def update_materials(
         self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
-        """Merge changes into materials, by name: a JSON Merge Patch, as a mapping or the path of a YAML file."""
+        """Change materials, by name, with a JSON Merge Patch (RFC 7396): a mapping or the path of a YAML file."""
         params: dict[str, object] = {"materials": patch_tree(materials, "materials")}
         return await self._change("update_materials", params, expect_revision, wait)
 
@@ -256,7 +256,7 @@ class Client(ABC):
         direction: Iterable[float] = (0.0, 1.0),
         amplitude_m_per_s2: float,
     ) -> PlayResult:
-        """Play a mode, or the tap of a material, along `direction` [x, y], whether or not anything is touched."""
+        """Play a ringing mode, or a material's tap vibration, along `direction` [x, y], whether or not in contact."""
         params: dict[str, object] = {
             "direction": arguments.numbers("direction", direction),
             "amplitude_m_per_s2": amplitude_m_per_s2,
@@ -328,7 +328,10 @@ class Client(ABC):
         return end
 
     async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
-        """Take a lease, or renew the lease of `token`; a duration of 0 ends it. If a lease lapses, forces fade out."""
+        """Take the lease, or renew that of `token`, for `duration_s` from now; 0 ends it.
+
+        One client at a time can hold the lease. If the lease is not renewed in time, the daemon fades the forces out.
+        """
         params = {"duration_s": duration_s} if token is None else {"duration_s": duration_s, "token": token}
         return cast(LeaseResult, await self.call("lease", params))
 
@@ -344,12 +347,12 @@ class Client(ABC):
 
     @asynccontextmanager
     async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:
-        """Hold a lease while the block runs; yields its token.
+        """Hold the lease, without whose renewal the forces fade out, while the `with` block runs; yields its token.
 
         A thread renews the lease three times within `duration_s`, over a separate connection. If the process ends, the
-        forces fade out. In asyncio a task renews it, so the forces also fade out if the event loop is blocked for that
-        long. Raises at the end of the block if the lease was lost. Warns (ForcesOff) if a fault keeps the forces off
-        until `set_forces(True)`.
+        forces fade out. In asyncio a task renews it, so the forces also fade out if the event loop is blocked for
+        `duration_s`. Raises at the end of the block if the lease was lost. Warns (ForcesOff) if a fault keeps the
+        forces off until `set_forces(True)`.
         """
         lease = await self.lease(duration_s)
         token = lease["token"]
@@ -382,7 +385,7 @@ class Client(ABC):
     async def record(
         self, /, path: str | os.PathLike[str], overwrite: bool = False, **notes: object
     ) -> AsyncIterator[Recorder]:
-        """Record every tick and every event to `path` while the block runs: .npz, or .csv or .mcap exported from it.
+        """Record every tick and event to `path` while the `with` block runs: .npz, or .csv or .mcap exported from it.
 
         A thread with a separate connection records, from before the block begins until all its effects are recorded.
         `notes` are JSON values, which are stored in the file. Yields a Recorder, whose `result` is available after the
@@ -404,7 +407,7 @@ class Client(ABC):
             warn(warning)
 
     def stream(self) -> Stream:
-        """Stream targets of the simulated hand, or forces, while the block runs: up to 1,000 of each per second.
+        """Stream targets of the simulated hand, or forces, while the `with` block runs: up to 1,000 of each a second.
 
         The servo interpolates linearly between messages. If no message arrives within the time-out (20 ms by default),
         a force fades to zero and the hand stays. The end of the block sends a force of zero. Messages do not wait for
@@ -417,7 +420,7 @@ class Client(ABC):
     # ---- Telemetry ---------------------------------------------------------------------------------------------------
 
     def samples(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[SampleBatch]:
-        """Subscribe to the samples of all ticks, in batches of 20 ms: numpy structured arrays with `lost`, a count.
+        """Subscribe to the samples of all ticks, in batches of 20 ms: arrays whose `lost` counts missing samples.
 
         The subscription begins at this call, in asyncio at `async with` or the first item. Iteration raises
         DaemonNotRunning if nothing arrives for `timeout_s` (by default that of the client), and warns (TelemetryLoss)
@@ -432,7 +435,7 @@ class Client(ABC):
         return Subscription(self, ("samples",), SampleStream(warn=not newest).convert, timeout_s, newest)
 
     def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
-        """Subscribe to the newest sample as a dictionary, 60 times a second.
+        """Subscribe to the servo's newest sample as a dictionary, 60 times a second.
 
         With `newest` an item is the first sample that the daemon sends after the program requests the item, so a slow
         reader never gets an old one.
@@ -445,13 +448,13 @@ class Client(ABC):
         return Subscription(self, ("event",), lambda _, message: cast("Event", message), timeout_s)
 
     def statuses(self, timeout_s: float | None = None) -> Subscription[Status]:
-        """Subscribe to the status, once a second."""
+        """Subscribe to the status of the daemon, once a second."""
         return Subscription(self, ("status",), lambda _, message: cast(Status, message), timeout_s)
 
     def telemetry(
         self, *topics: Topic, timeout_s: float | None = None
     ) -> Subscription[tuple[Topic, dict[str, object]]]:
-        """Subscribe to several topics on one socket; items are pairs of topic and message, in the order sent."""
+        """Subscribe to several topics on one telemetry socket; items are pairs (topic, message) in the sent order."""
         return Subscription(self, topics, lambda topic, message: (topic, message), timeout_s)
 
 
@@ -469,7 +472,7 @@ class Subscription(Generic[T]):
         timeout_s: float | None,
         newest: bool = False,
     ) -> None:
-        """Create a subscription. With `newest` each item is requested when it is read; others are not sent."""
+        """Create a subscription. With `newest` the daemon sends an item only when the program requests one."""
         if not topics:
             raise arguments.invalid_argument(
                 "telemetry", f"needs at least one topic; known: {', '.join(get_args(Topic))}"
@@ -512,7 +515,7 @@ class Subscription(Generic[T]):
         self._client._subscriptions.discard(self)
 
     async def _take(self, timeout_s: float) -> T | None:
-        """Return the item of the next message, or None if its topic is not wanted. Raises zmq.Again."""
+        """Return the item of the next message, or None if the message is not of a wanted topic. Raises zmq.Again."""
         frames = await self._client._receive(self._socket, timeout_s)
         if not self._ready:
             self._ready = True
@@ -588,7 +591,7 @@ class Subscription(Generic[T]):
 
 
 def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) -> GestureEnd | None:
-    """Return the end of the motion that was set at a tick, or None if this event or status does not report it.
+    """Return the event at the end of the hand motion set at a tick, or None if `message` does not report that end.
 
     Raises HapticdError if the daemon no longer knows the motion.
     """

@@ -48,11 +48,11 @@ END_SILENCE_S: Final = 0.2
 """A daemon whose socket is closed has stopped if no message arrives for this time, in s."""
 
 _MAX_SCENE_READS: Final = 10
-"""Number of attempts to read scene and materials while other clients change the materials."""
+"""Number of attempts to read a consistent scene and materials while other clients change the materials."""
 
 
 def ended_early(because: str | None) -> str | None:
-    """Return the reason why a recording ended early, or None if it did not. A stopped recording has not ended early."""
+    """Return why a recording ended before it was complete or stopped, None if it did not; `because` is any reason."""
     return None if because == STOPPED_REASON else because
 
 
@@ -76,9 +76,9 @@ class RecordSummary:
     started: Moment | None
     """Clocks of the daemon at the start; None if the daemon does not report them."""
     ended: Moment | None
-    """Clocks of the daemon at the end."""
+    """Clocks of the daemon at the end; None if the daemon does not report them."""
     ended_because: str | None
-    """Reason of the end, STOPPED_REASON if the recording was stopped; None if its duration is over."""
+    """Why the recording ended: STOPPED_REASON, DAEMON_STOPPED_REASON or another; None if its duration was over."""
     warning: str | None
     """Warning if the fraction of missed periods exceeds `servo.overruns.threshold`, otherwise None."""
 
@@ -112,19 +112,19 @@ class Daemon(Protocol):
     timeout_s: float
 
     def get_status(self, detail: bool = False) -> Status:
-        """Return the status."""
+        """Return the status of the daemon."""
 
     def get_config(self) -> ConfigResult:
-        """Return servo and device of the configuration."""
+        """Return the keys `servo` and `device` of the configuration."""
 
     def get_scene(self) -> SceneResult:
-        """Return the scene and its revision."""
+        """Return the scene, and its revision: the number of the last change of scene or materials."""
 
     def get_materials(self) -> MaterialsResult:
         """Return all materials by name."""
 
     def telemetry(self, *topics: Topic) -> AbstractContextManager[Messages]:
-        """Subscribe to topics."""
+        """Subscribe to topics of telemetry."""
 
 
 def record(
@@ -190,7 +190,7 @@ class _Session:
         """Pairs of the last tick of a batch and the number of missed periods in it, if any."""
 
     def run(self, stop: threading.Event, progress: Callable[[float], None]) -> str | None:
-        """Record until the end, and return its reason, or None if the duration is over."""
+        """Record until the end, and return why the recording ended, or None if its duration is over."""
         client, interval = self._client, self._interval
         # A missing daemon is noticed at once by a call; waiting for telemetry takes longer.
         client.get_status()
@@ -280,7 +280,7 @@ class _Session:
             self._writer.write_event(event)
 
     def account(self, ended: str | None) -> dict[str, Any]:
-        """Return the member `recording` of the file: counts of recorded and missing data, and notes."""
+        """Return the member `recording` of the file: counts of recorded and missing data, and the user's notes."""
         return {
             "ticks": self._writer.count,
             "duration_s": self._interval.duration_s(self._writer.last_time_ns),
@@ -330,11 +330,11 @@ class _Scenes:
 
     @property
     def missing(self) -> tuple[int, ...]:
-        """Revisions that samples were rendered with and that are unknown."""
+        """Numbers of the changes with which samples were rendered, but whose scene or materials were not received."""
         return tuple(sorted(self._used - self._known))
 
     def begin(self) -> dict[str, Any]:
-        """Read and return status, scene and materials at the start."""
+        """Read and return status, scene and materials at the start of the recording."""
         read = self._read()
         if read is None:
             raise HapticdError("the recording cannot begin: other clients change the materials too fast")
@@ -345,15 +345,15 @@ class _Scenes:
         return {"status": status, "scene": scene, "materials": dict(self._materials)}
 
     def reached(self, revisions: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
-        """Return for each revision whether it is the newest known one or a later one."""
+        """Return for each revision (number of a change of the scene) whether it is the newest known one or later."""
         return (revisions - np.uint32(self.revision)).astype(np.int32) >= 0
 
     def note_used(self, revisions: npt.NDArray[np.uint32]) -> None:
-        """Note revisions that samples were rendered with."""
+        """Note the revisions (numbers of changes of the scene) that samples were rendered with."""
         self._used.update(np.unique(revisions).tolist())
 
     def apply(self, change: dict[str, Any]) -> None:
-        """Apply a message of the topic `change`, and write it."""
+        """Apply a message of the topic `change` to scene and materials, and write it to the recording."""
         if "revision" not in change:
             self._writer.write_change(change)
             return
@@ -407,7 +407,7 @@ class _Scenes:
 
 
 def _changes(before: Mapping[str, object], after: Mapping[str, object]) -> dict[str, object]:
-    """Return the members that differ, by key; None for removed ones."""
+    """Return the members in which two mappings differ, by key: their new values, None for removed ones."""
     changed = {name: value for name, value in after.items() if name not in before or before[name] != value}
     return changed | dict.fromkeys(name for name in before if name not in after)
 
@@ -434,13 +434,13 @@ class _Interval:
 
     @property
     def over(self) -> bool:
-        """Whether the interval is complete."""
+        """Whether the recorded interval is complete."""
         if not self.ends:
             return self._complete
         return self._complete or self._end_tick > self._last_tick or time.monotonic() > self._give_up_at
 
     def end_at(self, tick: int | None) -> None:
-        """End the interval after this tick, at the latest after a time-out; with None end it now."""
+        """End the recorded interval after this tick, at the latest after a time-out; with None end it now."""
         self.ends, self._complete = True, self._complete or tick is None
         self._last_tick = tick or 0
         self._give_up_at = time.monotonic() + FINAL_CHANGE_TIMEOUT_S
@@ -453,11 +453,11 @@ class _Interval:
         return self.duration_s(self._last_ns)
 
     def duration_s(self, last_ns: int) -> float:
-        """Return the time from the first sample to one period after that at `last_ns`, in s."""
+        """Return the time from the first sample to one period after the sample at `last_ns`, in s."""
         return (last_ns + self._period_ns - self._first_ns) / 1e9
 
     def clip(self, batch: SampleBatch) -> Samples:
-        """Return the samples of a batch that are in the interval."""
+        """Return the samples of a batch that are in the recorded interval."""
         if len(batch) == 0:
             return batch
         times = batch["time_ns"]
@@ -495,7 +495,7 @@ class _Interval:
 
 
 class Recorder:
-    """A recording that runs during a block and is complete after it."""
+    """A recording that runs during a `with` block and is complete after it."""
 
     def __init__(
         self,
@@ -516,17 +516,17 @@ class Recorder:
 
     @property
     def result(self) -> RecordSummary:
-        """Summary of the recording. Raises HapticdError before the end of the block, and if nothing was recorded."""
+        """Summary of the recording. Raises HapticdError if the `with` block has not ended, or nothing was recorded."""
         if self._done is None or not self._done.done():
             raise HapticdError(f"{self.path}: not complete: the result is available after the block")
         return self._done.result()
 
     def load(self) -> Recording:
-        """Return the recording. Raises HapticdError before the end of the block."""
+        """Load and return the recording. Raises HapticdError if the `with` block of the recording has not ended."""
         return load(self.result.file)
 
     def begin(self) -> None:
-        """Start the recording, and wait for its first sample. Raises the error if it cannot start."""
+        """Start the recording, and wait for its first sample. If the recording cannot start, raises the cause."""
         self._done = in_background("hapticd-record", self._record)
         self._done.add_done_callback(lambda _: self._begun.set())
         self._begun.wait()

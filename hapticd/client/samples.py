@@ -42,7 +42,7 @@ def dtype_of(description: object) -> np.dtype[np.void]:
 
 
 class SampleStream:
-    """Converts messages to batches, in their order, and counts missing ticks.
+    """Converts messages of samples to batches, in their order, and counts missing ticks.
 
     Ticks of the servo have no gaps. A missing tick was dropped by the ring of the daemon, which counts it in `dropped`,
     or was lost between daemon and subscriber.

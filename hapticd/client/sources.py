@@ -54,7 +54,7 @@ def scene_tree(scene: SceneSource) -> Mapping[str, object]:
 
 
 def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
-    """Return a patch as a mapping for the request. In a file it is at the keys `path`, or at the top level.
+    """Return a merge patch as a mapping for the request. In a file it is at the keys `path`, or at the top level.
 
     Raises HapticdError for a file that cannot be read or has no mapping, InvalidError for a file that is not YAML or
     has other keys next to `path`.
@@ -84,7 +84,7 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
 def operator_params(
     waypoints: WaypointsSource | None, interpolation: Interpolation | None, gesture: Mapping[str, object] | None
 ) -> dict[str, object]:
-    """Return the params of `set_operator`. Raises HapticdError for a file without an operator."""
+    """Return the params of `set_operator`, a motion of the hand. Raises HapticdError for a file without a motion."""
     if isinstance(waypoints, str | os.PathLike):
         if interpolation is not None or gesture is not None:
             raise HapticdError(

@@ -36,7 +36,7 @@ _CLOSE_LINGER_MS: Final = 1000
 
 
 class Sender:
-    """Sends the streams of one client. It is thread-safe."""
+    """Sends streamed targets of the simulated hand and forces of one client. It is thread-safe."""
 
     def __init__(self, place: RuntimePaths, timeout_s: float) -> None:
         self._place, self._timeout_s = place, timeout_s
@@ -70,7 +70,7 @@ class Sender:
             self._sent_s = time.monotonic()
 
     def send(self, kind: Kind, x: float, y: float) -> None:
-        """Send a message, or drop it if the queue is full.
+        """Send a target or a force, or drop it if the queue is full.
 
         Raises DaemonNotRunning, or RemoteError if the daemon has refused an earlier message.
         """
@@ -95,7 +95,7 @@ class Sender:
                 self._read(socket)
 
     def settle(self) -> None:
-        """Wait until the daemon has processed all sent messages, by a request after them.
+        """Wait until the daemon has processed all sent messages: send a request and wait for its reply.
 
         Raises RemoteError if the daemon has refused a message, or DaemonNotRunning.
         """
@@ -111,7 +111,7 @@ class Sender:
             raise places.no_answer(self._place, self._timeout_s)
 
     def _request(self, method: str, params: Mapping[str, object]) -> bytes:
-        """Return the body of a message that requests a reply."""
+        """Return the body of a streamed message that requests a reply."""
         self._last_id += 1
         return messages.request(self._last_id, method, params)
 
@@ -127,7 +127,7 @@ class Sender:
         return self._socket
 
     def _not_queued(self, now_s: float) -> None:
-        """Count a dropped message. Raises DaemonNotRunning if no daemon listens or reads."""
+        """Count a message that was dropped. Raises DaemonNotRunning if no daemon listens or reads."""
         self.unsent += 1
         if now_s - self._sent_s > self._timeout_s:
             raise places.no_answer(self._place, self._timeout_s)
@@ -136,7 +136,7 @@ class Sender:
             places.probe(self._place)
 
     def _read(self, socket: zmq.Socket[bytes]) -> object:
-        """Return the id of a reply. Raises the error in it."""
+        """Return the id of the next reply of the daemon. Raises the error in the reply."""
         id, response = calls.decode_response(socket.recv())
         if isinstance(response, RemoteError):
             raise response
@@ -181,7 +181,7 @@ class Stream(Generic[Sent]):
         return self._sent
 
     def force(self, fx: float, fy: float) -> Sent:
-        """Send a force that is added to the rendered one, in N.
+        """Send a force, in N, that the daemon adds to the rendered force of the scene.
 
         Raises DaemonNotRunning, or RemoteError if the daemon has refused an earlier message.
         """
@@ -212,7 +212,7 @@ class Stream(Generic[Sent]):
             await to_thread(self._sender.settle)
 
     def _end_force(self, error: BaseException | None) -> None:
-        """Send a force of zero if one was streamed. Errors are raised only if the block has raised none."""
+        """Send a force of zero if a force was streamed. Raises errors only if the `with` block has raised none."""
         if self._pushed:
             self._pushed = False
             with nullcontext() if error is None else suppress(HapticdError):

@@ -30,7 +30,7 @@ from hapticd.protocol.results import State, Status
 FRAME_PERIOD_S: Final = 1 / 15
 """Time between two pictures, in s."""
 LOST_AFTER_S: Final = 1.5
-"""Time without messages after which the daemon is shown as lost, in s. Its status arrives every second."""
+"""Time without messages after which the daemon is shown as lost, in s. The daemon sends its status every second."""
 PANEL_WIDTH: Final = 33
 """Width of the figures next to the picture, in characters."""
 EVENT_LINES: Final = 4
@@ -41,7 +41,7 @@ MIN_HALF_VIEW_M: Final = 0.08
 _BAR_WIDTH: Final = 12
 """Width of the bar of a force, in characters."""
 _LINE_LABELS: Final = ("tick", "position", "force x", "force y", "touching", "rate", "lateness", "missed", "faults")
-"""Labels of the figures in a line for a file or a pipe."""
+"""Labels of the figures that a line for a file or a pipe shows."""
 _QUIET_EVENTS: Final = frozenset(("release", "overrun"))
 """Events that are not listed, since the figures `touching` and `missed` show them."""
 
@@ -67,7 +67,7 @@ class View:
     # ---- Input ------------------------------------------------------------------------------------------------
 
     def feed(self, topic: str, message: Mapping[str, object]) -> None:
-        """Take a telemetry message."""
+        """Update the view with a telemetry message."""
         self.lost_for_s = None
         if topic == "status":
             self.status = cast(Status, message)
@@ -103,7 +103,7 @@ class View:
         return self.lost_for_s is None and self.state is not None and self.state["revision"] != self.scene_revision
 
     def set_scene(self, scene: Mapping[str, object], revision: int) -> None:
-        """Set the scene of the picture."""
+        """Set the scene that the picture shows, and its revision."""
         self._background = None
         self.scene, self.scene_revision = dict(scene), revision
 
@@ -144,7 +144,7 @@ class View:
         return Text.assemble((left.ljust(max(0, width - len(right))), "reverse"), (right, style))
 
     def _rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """Yield the figures: label, bar, value and style of each."""
+        """Yield the figures next to the picture: label, bar, value and style of each."""
         state, status = self.state, self.status
         if state is None:
             return
@@ -190,7 +190,7 @@ class View:
         return lines
 
     def line(self) -> str:
-        """Return the state as a line for a file or a pipe."""
+        """Return the state of the daemon as a line for a file or a pipe."""
         values = {label: value for label, _, value, _ in self._rows()}
         parts = [f"{label} {' '.join(values[label].split())}" for label in _LINE_LABELS if values.get(label)]
         return "  ".join(parts if self.status is None else [*parts, f"forces {self.status['forces']}"])
@@ -239,13 +239,13 @@ def event_line(event: Mapping[str, Any]) -> str:
 
 
 def bar(value: float, scale: float, width: int) -> str:
-    """Return a bar from the left of `width` characters; it is full if `value` is `scale` or more."""
+    """Return a bar of `width` characters that grows from the left; it is full if `value` is `scale` or more."""
     filled = min(width, round(abs(value) / scale * width))
     return "█" * filled + "·" * (width - filled)
 
 
 def signed_bar(value: float, scale: float, width: int) -> str:
-    """Return a bar from the middle of `width` characters, to the left for negative values."""
+    """Return a bar of `width` characters that grows from the middle, to the left for negative values."""
     left, right = (bar(max(0.0, part), scale, width // 2) for part in (-value, value))
     return f"{left[::-1]}│{right}"
 
@@ -260,7 +260,7 @@ def draw_scene(scene: Mapping[str, Any], columns: int, rows: int, cell_m: float)
     cells: npt.NDArray[np.str_] = np.full((rows, columns), " ")
 
     def slab(center: Sequence[float], size: Sequence[float], angle: float) -> npt.NDArray[np.bool_]:
-        """Return the mask of the cells in a rectangle, which is at least one character wide and high."""
+        """Return which characters of the picture lie in a rectangle, which is at least one character wide and high."""
         right, up = x - center[0], y - center[1]
         along = right * math.cos(angle) + up * math.sin(angle)
         across = up * math.cos(angle) - right * math.sin(angle)
@@ -316,7 +316,7 @@ _Messages: TypeAlias = Subscription[_Item]
 
 
 def _follow(view: View, client: Client, messages: _Messages, every_s: float, lasts_s: float) -> Iterator[_Item | None]:
-    """Feed the view until `lasts_s` after the first message; yield each message, or None if `every_s` pass without."""
+    """Update the view until `lasts_s` after the first message; yield messages, or None if none comes in `every_s`."""
     heard_s, ends_s = time.monotonic(), math.inf
     view.feed("status", client.get_status())
     while (now_s := time.monotonic()) < ends_s:
@@ -331,7 +331,7 @@ def _follow(view: View, client: Client, messages: _Messages, every_s: float, las
 
 
 def _draw(client: Client, messages: _Messages, console: Console, lasts_s: float) -> bool:
-    """Draw until `lasts_s` after the first message (return true) or the terminal is closed (return false)."""
+    """Draw the view until `lasts_s` after the first message (return true) or the terminal closes (return false)."""
     view = View()
     shown_s = time.monotonic()
     asked_s = -math.inf

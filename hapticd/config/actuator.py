@@ -23,7 +23,7 @@ MAX_BANDWIDTH_HZ: Final = 5000.0
 
 
 class Actuator(Model):
-    """Lag of the actuator; without this mapping the force follows at once."""
+    """Lag between the commanded and the exerted force; without this mapping the force follows at once."""
 
     bandwidth_hz: float = Field(
         ge=MIN_BANDWIDTH_HZ,
@@ -39,7 +39,7 @@ class Actuator(Model):
 
     @property
     def rate_per_s(self) -> float:
-        """The a of the equations: for order 1 the inverse time constant, for order 2 the natural angular frequency."""
+        """Rate a of the lag, in 1/s: the inverse time constant (order 1) or the natural angular frequency (order 2)."""
         angular = 2 * math.pi * self.bandwidth_hz
         if self.order == 1:
             return angular
@@ -60,7 +60,7 @@ class Actuator(Model):
         return complex(self.response(np.array([s], np.complex128))[0])
 
     def shares(self) -> tuple[float, float, float]:
-        """Return the integrals of |h|, t |h| and t h over time, h(t) being the impulse response; the last two in s.
+        """Return the integrals of |h|, t |h| and t h with h(t) the lag's impulse response; the last two in s.
 
         The stability analysis uses them. The integral of h is 1.
         """

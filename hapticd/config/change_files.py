@@ -30,14 +30,14 @@ class _ChangeParts(Model):
 
 @dataclass(frozen=True, slots=True)
 class ChangeFiles:
-    """Validated materials and scene of the files, None if missing, with the file and line of each value."""
+    """Validated materials and scene, read from files, None if missing, with the file and line of each value."""
 
     materials: FromFile | None
     scene: FromFile | None
 
 
 def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
-    """Load a change from files; a shipped scene may be given by its name.
+    """Load new materials and a new scene from files; a shipped scene may be given by its name.
 
     Whether the scene's materials exist is not checked here: the daemon may have others. Raises InvalidError, which
     names every fault with file and line, and HapticdError for a file that cannot be read.
@@ -46,7 +46,7 @@ def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
 
 
 def change_of(documents: Sequence[Document]) -> ChangeFiles:
-    """Merge and validate documents as a change. Raises InvalidError."""
+    """Merge documents, and validate the materials and the scene in them. Raises InvalidError."""
     merged = Merged()
     for document in map(_as_change, documents):
         assert isinstance(document.data, dict)

@@ -30,7 +30,7 @@ ActuatorForce: TypeAlias = Annotated[float, Field(ge=0.01, le=100)]
 
 
 class Overruns(Model):
-    """The largest allowed share of missed periods, and the reaction if more are missed."""
+    """The largest allowed fraction of missed servo periods, and the reaction if more are missed."""
 
     threshold: float = Field(
         default=0.1, ge=0.001, le=1, description="Largest fraction of missed periods in a second; 1: all."
@@ -115,16 +115,16 @@ class Sim(Model):
 
     @property
     def reports_s(self) -> tuple[float, float]:
-        """Time between position reports in s, 0 for a report at every tick, and their age in s when read."""
+        """Time in s between position reports, 0 for one at every tick, and the age in s of a report when it is read."""
         if self.link is None:
             return self.report_interval_s, self.report_delay_s
         return 1.0 / self.link.rate_hz, self.link.delay_frames / self.link.rate_hz
 
     @property
     def age_s(self) -> float:
-        """Mean delay in s from a position to the force that is computed from it.
+        """Mean delay in s from a position of the handle to the force that is computed from that position.
 
-        On a link, a force waits half a frame on average.
+        On a link with frames, a force waits half a frame on average.
         """
         delay_s = self.reports_s[1]
         return delay_s if self.link is None else 2.0 * delay_s - 0.5 / self.link.rate_hz
@@ -236,7 +236,7 @@ class Device(Model):
 
     @property
     def lag(self) -> Actuator | None:
-        """The actuator's lag; None if the force follows at once or the lag is unknown."""
+        """Lag between commanded and exerted force; None if the force follows at once or the lag is unknown."""
         return self.sim.actuator if self.actuator is None and self.kind == "sim" else self.actuator
 
     @model_validator(mode="after")
@@ -337,7 +337,7 @@ def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
 
 
 def chosen_config(chosen: ConfigFiles) -> Config:
-    """Load the chosen files as load_config does; without files return the built-in configuration.
+    """Load the chosen configuration files as load_config does; without files return the built-in configuration.
 
     A shipped scene may be given by its name. Raises HapticdError also if the environment names a missing file.
     """
@@ -347,7 +347,7 @@ def chosen_config(chosen: ConfigFiles) -> Config:
 
 
 def config_of_documents(documents: Sequence[Document]) -> Config:
-    """Merge and validate documents; see load_config."""
+    """Merge documents to a configuration and validate it, as load_config does for files."""
     merged = Merged()
     for given in documents:
         document = _as_configuration(given)
@@ -380,7 +380,7 @@ class Merged:
         self._owners: dict[Path, Document] = {}
 
     def add(self, document: Document, data: dict[str, Json]) -> None:
-        """Merge a document: its values replace earlier ones key by key, but materials and objects completely."""
+        """Merge another document: its values replace earlier ones key by key, but materials and objects completely."""
         self._add(document, data, self.data, ())
 
     def _add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:
@@ -397,7 +397,7 @@ class Merged:
                 self._owners[here] = document
 
     def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
-        """Return the error for faults, each given by its path and text."""
+        """Return the InvalidError for faults of the merged document, each given by its path and text."""
         return InvalidError(self._owner(path).problem(path, text) for path, text in faults)
 
     def where(self, path: Sequence[str | int]) -> str:

@@ -56,7 +56,7 @@ KEYS_OF_KIND: Final[dict[Kind, tuple[str, ...]]] = {
     "study": ("experiment", "factors", "trial", "questions"),
     "sweep": ("vary", "measure", "refine"),
 }
-"""Keys by kind. A document with any of these keys is of this kind."""
+"""Keys by kind of document. A document with any of the keys of a kind is of that kind."""
 KINDS_WITH_PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
     "objects": ("scene", "bare scene", "objects"),
     "materials": ("materials", "bare materials"),
@@ -110,7 +110,7 @@ def refuse_documents(path: str | os.PathLike[str]) -> None:
 
 
 def refuse_other_keys(document: Document, path: Sequence[str], given: Collection[str], known: str) -> None:
-    """Raise InvalidError if the mapping at `path`, with the keys `given`, has another key than `known`."""
+    """Raise InvalidError if the mapping at `path` has other keys: if any of the keys `given` is not the key `known`."""
     text = f"{UNKNOWN_KEY}; known: {known}"
     others = [Problem(document.where((*path, key)), text) for key in given if key != known]
     if others:

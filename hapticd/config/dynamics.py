@@ -47,20 +47,20 @@ class Dynamics:
 
     @property
     def mass_kg(self) -> float:
-        """Moving mass, m + m_h."""
+        """Moving mass: that of the handle plus that of the hand, m + m_h."""
         return self.handle_mass_kg + self.grip_mass_kg
 
     @property
     def damping_n_s_per_m(self) -> float:
-        """Total damping, b + b_h."""
+        """Total damping: that of the handle plus that of the hand, b + b_h."""
         return self.handle_damping_n_s_per_m + self.grip_damping_n_s_per_m
 
 
 @lru_cache(maxsize=64)
 def held_motion(dynamics: Dynamics, span_s: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the exact step of position and velocity over `span_s` at a constant force F.
+    """Return how the handle's position and velocity change over `span_s` at a constant force F: `state` and `pushed`.
 
-    [x, v] becomes state @ [x, v] + pushed F. state (2, 2) and pushed (2,), both read-only, are parts of
+    [x, v] becomes state @ [x, v] + pushed F, exactly. state (2, 2) and pushed (2,), both read-only, are parts of
     exp([[A, B], [0, 0]] span_s) for x' = A x + B F, computed by scaling and squaring of the series.
     """
     mass = dynamics.mass_kg

@@ -9,7 +9,7 @@ from hapticd.base.errors import Path, path_of_text
 
 
 class Source(Protocol):
-    """A document, or several that were merged."""
+    """A document, or several merged documents, that finds the place of a value in its file."""
 
     def where(self, path: Sequence[str | int]) -> str:
         """Return `FILE:LINE:COLUMN: KEY` of the value at `path`, or of the nearest one that contains it."""
@@ -28,7 +28,7 @@ class FromFile(dict[str, object]):
 
 
 def placed(where: str, params: Mapping[str, object]) -> str:
-    """Convert a path in params to the place in the file that the value was read from; without a file return it."""
+    """Return the place in the file from which a value in params was read; without a file the path `where` itself."""
     path = path_of_text(where)
     if isinstance(params, FromFile):
         return params.place(path)

@@ -23,7 +23,7 @@ ReportId: TypeAlias = Annotated[int, Field(ge=0, le=255)]
 MAX_REPORT_BYTES = 255
 """Maximum size of a report, without its id."""
 MAX_REPORTS = 24
-"""Maximum number of reports of `disable`."""
+"""Maximum number of reports in the key `disable`, which switch the device off."""
 
 
 def _hex(text: str) -> str:
@@ -83,7 +83,7 @@ class VendorBits(Model):
 
     @property
     def end(self) -> int:
-        """The first bit after the number."""
+        """Index of the first bit after the number in the report."""
         return self.bit_offset + self.bit_size
 
     @model_validator(mode="after")
@@ -248,7 +248,7 @@ class Hid(Model):
 
     @property
     def names_one(self) -> bool:
-        """Whether a key selects a device; otherwise any device is used."""
+        """Whether a key of `device.hid` selects a certain device; otherwise any device is used."""
         return any(key is not None for key in (self.vendor, self.product, self.serial, self.path))
 
     @model_validator(mode="after")

@@ -25,7 +25,7 @@ Origin: TypeAlias = Literal["-c", "environment", "user", "system", "built in"]
 
 @dataclass(frozen=True, slots=True)
 class ConfigFiles:
-    """Files of a configuration, in the order in which they are merged, and why they were chosen."""
+    """Files of a configuration, in the order in which they are merged, and the reason for their choice."""
 
     origin: Origin
     files: tuple[str, ...]
@@ -49,7 +49,7 @@ def user_config(environ: Mapping[str, str] | None = None) -> Path:
 
 
 def choose(named: Sequence[str | os.PathLike[str]] = (), environ: Mapping[str, str] | None = None) -> ConfigFiles:
-    """Choose the files of the configuration, without reading them; see check_named."""
+    """Choose the files of the configuration, without reading them; check_named finds missing ones."""
     if named:
         return ConfigFiles("-c", tuple(os.fspath(file) for file in named), ())
     environ = os.environ if environ is None else environ

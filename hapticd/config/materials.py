@@ -54,16 +54,16 @@ MAX_TAP_POINTS: Final = 256
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
 """Minimum difference of two approach speeds of `tap.amplitudes`."""
 MAX_PROVENANCE_FILES: Final = 1000
-"""Maximum number of recordings of a material's provenance."""
+"""Maximum number of recordings that the provenance of a material lists."""
 MAX_REASONS: Final = 64
-"""Maximum number of reasons of a verdict."""
+"""Maximum number of reasons that the verdict on a fit (good, fair or poor) lists."""
 MAX_REASON_CHARACTERS: Final = 1000
-"""Maximum length of a reason."""
+"""Maximum length of one reason of a verdict on a fit."""
 
 TapPoint: TypeAlias = Annotated[
     tuple[Annotated[float, Field(ge=1e-4, le=100)], Annotated[float, Field(ge=0, le=1e5)]], Strict(False)
 ]
-"""[approach speed in m/s, amplitude in m/s^2]."""
+"""A point of a tap's amplitude over approach speed: [speed in m/s, amplitude in m/s^2]."""
 
 
 def _rising(interval: tuple[float, float]) -> tuple[float, float]:
@@ -85,7 +85,7 @@ Interval: TypeAlias = Annotated[
     Strict(False),
     AfterValidator(_rising),
 ]
-"""[low, high] in the unit of the fitted value."""
+"""A confidence interval [low, high], in the unit of the fitted value."""
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\u0000-\u001f\u007f]+$")]
 
 
@@ -152,7 +152,7 @@ class Tap(AimedKeys):
     waveform: Waveform | None = Field(default=None, description="A waveform that is played instead of a mode.")
 
     def mode_faults(self) -> list[str]:
-        """Return the faults of the keys of the modes."""
+        """Return the faults of the keys of the tap's ringing modes."""
         if self.waveform is not None:
             why, excluded = "has a waveform instead of a mode", _RINGING_KEYS
         elif self.mode_table is not None:
@@ -164,32 +164,32 @@ class Tap(AimedKeys):
 
     @property
     def mode(self) -> Mode:
-        """The tap's mode; for a mode table, the mode in the middle of its speeds."""
+        """The tap's ringing mode; for a table of modes over approach speed, the mode in the middle of the speeds."""
         return super().mode if self.mode_table is None else self.mode_table.middle
 
     def mode_at(self, speed_m_per_s: float) -> Mode:
-        """Return the mode of a tap at this approach speed."""
+        """Return the ringing mode of a tap at this approach speed."""
         return self.mode if self.mode_table is None else self.mode_table.at(speed_m_per_s)
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """The tap's mode; for a mode table its modes of lowest and highest frequency; empty for a waveform."""
+        """The tap's ringing mode; for a mode table its modes of lowest and highest frequency; empty for a waveform."""
         if self.waveform is not None:
             return ()
         return (self.mode,) if self.mode_table is None else self.mode_table.bounds
 
     @property
     def ringing(self) -> Mode | None:
-        """As `mode`, but None for a waveform."""
+        """The tap's ringing mode as in `mode`, but None for a tap that is played as a waveform."""
         return None if self.waveform is not None else self.mode
 
     @property
     def one_mode(self) -> Mode | None:
-        """The mode if it is the same at all approach speeds; None for a mode table or a waveform."""
+        """The tap's ringing mode if it is the same at all approach speeds; None for a mode table or a waveform."""
         return None if self.mode_table is not None else self.ringing
 
     def coefficient(self, amplitude: float) -> float:
-        """Return A of the mode's or the waveform's equation for an amplitude as defined by `attack`."""
+        """Return the coefficient A of the mode Q(t) or of the waveform, for an amplitude as `attack` defines it."""
         return (self.waveform or self.mode).coefficient(amplitude, self.attack)
 
     def cross_faults(self) -> list[str]:
@@ -205,10 +205,10 @@ class Tap(AimedKeys):
         return faults
 
     def amplitude_m_per_s2(self, speed_m_per_s: float) -> float:
-        """Return the amplitude at an approach speed of at least 0.
+        """Return the amplitude of a tap at an approach speed of at least 0.
 
-        It is interpolated linearly between (0, 0) and the points. Beyond the last point the last segment is extended,
-        but not below 0.
+        The amplitude is interpolated linearly between (0, 0) and the points. Beyond the last point the last segment is
+        extended, but not below 0.
         """
         if self.attack_slope_per_s is not None:
             return self.attack_slope_per_s * speed_m_per_s
@@ -256,7 +256,7 @@ class Rupture(AimedKeys):
 
     @property
     def rupture_depth_m(self) -> float:
-        """depth_m, or R sqrt((1 + strain)^2 - 1) for a membrane of radius R that is stretched to a cone."""
+        """Depth at rupture: depth_m, or R sqrt((1 + strain)^2 - 1) for a membrane of radius R stretched to a cone."""
         if self.depth_m is not None:
             return self.depth_m
         assert self.max_strain is not None
@@ -364,7 +364,7 @@ class Material(Model):
 
     @property
     def groove_modes(self) -> tuple[Mode, ...]:
-        """Modes of grooves that are displayed as vibration; empty for another texture.
+        """Ringing modes of grooves that are displayed as vibration; empty for another texture.
 
         They are the texture's mode, for a frequency table its modes of lowest and highest frequency, or without both
         the tap's mode.
@@ -379,11 +379,11 @@ class Material(Model):
 
     @property
     def groove_mode(self) -> Mode | None:
-        """The first of groove_modes, or None."""
+        """The first mode with which grooves ring (see groove_modes), or None if no groove rings."""
         return next(iter(self.groove_modes), None)
 
     def groove_mode_at(self, speed_m_per_s: float, force_n: float) -> Mode | None:
-        """Return the mode of a groove that is crossed at this tangential speed and normal force."""
+        """Return the ringing mode of a groove that is crossed at this tangential speed and normal force, if any."""
         mode = self.groove_mode
         if mode is None or not isinstance(self.texture, Grooves) or self.texture.frequency_table is None:
             return mode

@@ -52,27 +52,27 @@ class Mode:
 
     @property
     def peak(self) -> float:
-        """Value of the first maximum, below 1."""
+        """Value of the first maximum of exp(-B t) sin(w t), below 1."""
         time_s = self.peak_time_s
         return math.exp(-self.decay_rate_per_s * time_s) * math.sin(self.angular_frequency_rad_per_s * time_s)
 
     def coefficient(self, amplitude: float, attack: Attack) -> float:
-        """Return A of eq. 1 for an amplitude that, depending on `attack`, is A or the maximum of the first cycle."""
+        """Return A of Q(t) for an amplitude that, depending on `attack`, is A or the maximum of the first cycle."""
         return amplitude if attack == "coefficient" else amplitude / self.peak
 
 
 def given(*names: str) -> JsonDict:
-    """Return the JSON Schema that requires all these keys, with a value other than null."""
+    """Return a JSON Schema that requires each of the keys `names`, with a value other than null."""
     return {"required": [*names], "properties": {name: {"not": {"type": "null"}} for name in names}}
 
 
 def absent(*names: str) -> JsonDict:
-    """Return the JSON Schema that requires all these keys to be absent or null."""
+    """Return a JSON Schema that requires each of the keys `names` to be absent or null."""
     return {"properties": {name: {"type": "null"} for name in names}}
 
 
 def one_of(*names: str) -> JsonDict:
-    """Return the JSON Schema that requires exactly one of these keys; `a b` stands for both keys together."""
+    """Return a JSON Schema that requires exactly one of the keys `names`; "a b" stands for both keys together."""
     alternatives = [name.split() for name in names]
     return {
         "oneOf": [
@@ -110,7 +110,7 @@ class ModeKeys(CheckedTogether):
         return self.mode_faults()
 
     def mode_faults(self) -> list[str]:
-        """Return a text for each invalid combination of the mode's keys."""
+        """Return a text for each invalid combination of the keys of a ringing mode."""
         return [
             *one_of_two(self, "frequency_hz", "angular_frequency_rad_per_s"),
             *one_of_two(self, "decay_time_s", "decay_rate_per_s"),
@@ -118,7 +118,7 @@ class ModeKeys(CheckedTogether):
 
     @property
     def mode(self) -> Mode:
-        """The mode with the parameters of these keys."""
+        """The ringing mode with the frequency and the decay that these keys give."""
         if self.decay_rate_per_s is not None:
             decay_rate_per_s = self.decay_rate_per_s
         else:
@@ -155,7 +155,7 @@ class AimedKeys(ModeKeys):
 
     @property
     def aim(self) -> tuple[float, float]:
-        """Unit vector of the force in the first half wave: its components along n and along t."""
+        """Direction of the force in the first half wave: components along the surface's normal n and tangent t."""
         if self.angle_rad is not None:
             return math.cos(self.angle_rad), math.sin(self.angle_rad)
         return (0.0, 1.0) if self.direction == "tangent" else (1.0, 0.0)
@@ -168,7 +168,7 @@ MIN_TABLE_STEP: Final = 1e-6
 
 
 def rising_faults(key: str, points: Sequence[float]) -> Iterator[str]:
-    """Yield the fault of the first point less than MIN_TABLE_STEP above its predecessor; `key` is that of the list."""
+    """Yield the fault of the first point less than MIN_TABLE_STEP above its predecessor; `key` names the list."""
     for index, (before, point) in enumerate(pairwise(points)):
         if point < before + MIN_TABLE_STEP:
             least = f"{MIN_TABLE_STEP:g} above the one before, {before:.15g}"
@@ -211,7 +211,7 @@ class ModeTable(CheckedTogether):
         return faults
 
     def at(self, speed_m_per_s: float) -> Mode:
-        """Return the mode of a strike at this approach speed."""
+        """Return the ringing mode of a strike at this approach speed."""
         first, last, share = around(self.speeds_m_per_s, speed_m_per_s)
 
         def along(values: Sequence[float]) -> float:
@@ -221,16 +221,16 @@ class ModeTable(CheckedTogether):
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Modes at the points of the table."""
+        """Ringing modes at the points of the table, in the order of the approach speeds."""
         return tuple(self.at(speed) for speed in self.speeds_m_per_s)
 
     @property
     def bounds(self) -> tuple[Mode, ...]:
-        """Modes of the lowest and of the highest frequency; a single one if they are equal."""
+        """Modes of the lowest and of the highest frequency in the table; a single mode if both are the same."""
         modes = sorted(self.modes, key=lambda mode: mode.angular_frequency_rad_per_s)
         return tuple(dict.fromkeys((modes[0], modes[-1])))
 
     @property
     def middle(self) -> Mode:
-        """Mode in the middle of the speeds, for strikes without an approach speed."""
+        """Ringing mode in the middle of the table's speeds, for strikes without an approach speed."""
         return self.at((self.speeds_m_per_s[0] + self.speeds_m_per_s[-1]) / 2)

@@ -51,7 +51,7 @@ MIN_STEP_S: Final = 1e-5
 MAX_TIME_S: Final = 86_400.0
 """Maximum time of a waypoint: one day."""
 MAX_CSV_BYTES: Final = 16 * 1024 * 1024
-"""Maximum size of a file of waypoints."""
+"""Maximum size of a CSV file of waypoints, in bytes."""
 
 TRAVEL_SPEED_M_PER_S: Final = 0.15
 """Speed of the hand on its way to the beginning of a gesture, and when it withdraws."""
@@ -60,7 +60,7 @@ LOWERING_SPEED_M_PER_S: Final = 0.02
 PRESS_TIME_S: Final = 0.15
 """Time for which a tap presses and a puncture stays inside; all modes of the library have decayed by then."""
 SPEED_TOLERANCE: Final = 0.01
-"""Maximum relative deviation of the handle's speed from the commanded speed at contact."""
+"""Maximum relative deviation of the handle's speed at contact from the speed that the gesture commands."""
 CLEARANCE_HEIGHT_M: Final = 0.005
 """Height from which the hand is lowered for a stroke; also added to other heights and to a puncture's depth."""
 
@@ -85,7 +85,7 @@ class Target:
     """Name of the surface in messages."""
 
     def fault(self, at_m: float) -> str | None:
-        """Return the fault of a coordinate along the surface, or None."""
+        """Return the fault of a tangential coordinate that lies beyond the ends of the surface, or None."""
         if abs(at_m) <= self.half_m:
             return None
         return f"{at_m:.15g} is beyond the {self.face}, which ends at {math.copysign(self.half_m, at_m):.15g}"
@@ -170,7 +170,7 @@ Gesture: TypeAlias = Annotated[TapGesture | StrokeGesture | PunctureGesture, Fie
 Waypoint: TypeAlias = Annotated[
     tuple[Annotated[float, Field(ge=0, le=MAX_TIME_S)], Coordinate, Coordinate], Strict(False)
 ]
-"""[t_s, x_m, y_m]."""
+"""A waypoint [t_s, x_m, y_m]: a time, and the position of the hand at this time."""
 
 
 class OperatorParams(Model):
@@ -220,11 +220,11 @@ class Operator:
     def waypoints_for(
         self, target_of: Callable[[str], Target | None], grip: Grip, reference_m: Point, ids: Iterable[str] = ()
     ) -> npt.NDArray[np.float64]:
-        """Return rows [t_s, x_m, y_m], shape (n, 3), for a hand whose target is at `reference_m` now.
+        """Return the waypoints of an operator, for a hand whose target is at `reference_m` now.
 
-        `target_of` returns the surface of an object's id, and None for an id without a surface; `ids` are those of the
-        scene. Raises InvalidError (`where` is inside `gesture`) for an unknown object or one that does not suit the
-        gesture.
+        The rows are [t_s, x_m, y_m], shape (n, 3). `target_of` returns the surface of an object's id, and None for an
+        id without a surface; `ids` are those of the scene. Raises InvalidError (`where` is inside `gesture`) for an
+        unknown object or one that does not suit the gesture.
         """
         if self.gesture is None:
             return np.array(self.waypoints, dtype=np.float64)
@@ -238,7 +238,7 @@ class Operator:
 
 
 def operator_of(params: Mapping[str, object]) -> Operator:
-    """Return the operator of the params of `set_operator`.
+    """Return the operator (motion of the simulated hand) in the params of `set_operator`.
 
     Raises InvalidError with every fault; of several faulty waypoints it reports the first.
     """
@@ -246,12 +246,12 @@ def operator_of(params: Mapping[str, object]) -> Operator:
 
 
 def parse_operator(data: Mapping[str, object]) -> Operator:
-    """Return the operator of a mapping that may hold numpy arrays and tuples. Raises InvalidError as operator_of."""
+    """Return the operator in a mapping, which may hold numpy arrays and tuples. Raises InvalidError as operator_of."""
     return _parse(Document(plain(data)))
 
 
 def load_operator(path: str | os.PathLike[str]) -> Operator:
-    """Load an operator from a file: CSV or JSON by its ending, YAML otherwise.
+    """Load an operator (motion of the simulated hand) from a file: CSV or JSON by its ending, YAML otherwise.
 
     A CSV file may have a header line; its waypoints are joined by straight lines.
     Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be
@@ -312,24 +312,24 @@ class _Path:
         self._at, self._height = x * n_y - y * n_x, x * n_x + y * n_y
 
     def go(self, at: float, height: float, speed: float) -> None:
-        """Move in a straight line to `at` and `height`."""
+        """Move the hand in a straight line to `at` along the surface and `height` above it."""
         distance = math.hypot(at - self._at, height - self._height)
         self._at, self._height = at, height
         if distance >= 2 * MIN_STEP_S * speed:
             self._add(distance / speed)
 
     def stay(self, duration_s: float) -> None:
-        """Keep the hand still for a time."""
+        """Keep the hand still for `duration_s`."""
         self._add(duration_s)
 
     def begin(self, at: float, height: float) -> None:
-        """Move to the beginning of a gesture, without contact on the way."""
+        """Move the hand to the beginning of a gesture, without contact on the way."""
         if self._height < height:
             self.go(self._at, height, TRAVEL_SPEED_M_PER_S)
         self.go(at, height, TRAVEL_SPEED_M_PER_S)
 
     def press(self, at: float, height: float, depth: float, speed: float, settling_s: float) -> None:
-        """Move from a height to a depth at a speed, stay, and withdraw."""
+        """Move the hand from `height` to `depth` below the surface at `speed`, stay there, and withdraw."""
         self.begin(at, height)
         self.stay(settling_s)
         self.go(at, -depth, speed)
@@ -413,7 +413,7 @@ def _parse(document: Document) -> Operator:
 
 
 def _csv_document(name: str) -> Document:
-    """Read a CSV file as a document of waypoints, with the line of each. Raises InvalidError."""
+    """Read a CSV file as a document of waypoints, with the line of each waypoint. Raises InvalidError."""
     text = text_of(read_file(name, MAX_CSV_BYTES), name, MAX_CSV_BYTES)
     reader = csv.reader(io.StringIO(text), skipinitialspace=True)
     rows: list[Json] = []
@@ -436,7 +436,7 @@ def _csv_document(name: str) -> Document:
 
 
 def _number(cell: str) -> float | str:
-    """Return a cell as a number, or unchanged if it is not a number."""
+    """Return a cell of a CSV file as a number, or unchanged if it is not a number."""
     try:
         return cell if "_" in cell else float(cell)
     except ValueError:

@@ -42,7 +42,7 @@ MIN_PATCH_M: Final = 1e-5
 TOUCHING_DISTANCE_M: Final = 1e-9
 """Edges of patches that are nearer than this touch, since 0.1 + 0.2 is not 0.3 in floating point."""
 _ROUNDING_OF_WIDTHS: Final = 1e-6
-"""Relative tolerance of MIN_PATCH_M for rounding."""
+"""Relative tolerance of the minimum width MIN_PATCH_M, for rounding."""
 _MAX_SHOWN_OVERLAPS: Final = 5
 """Largest number of overlaps that a message lists; the others are counted."""
 MIN_NORMAL_LENGTH = 1e-9
@@ -259,7 +259,7 @@ def material_places(item: SceneObject) -> Iterator[tuple[str, Path]]:
 
 
 def field_ids(objects: Mapping[str, SceneObject]) -> list[str]:
-    """Return the ids of the fields that depend on position or speed."""
+    """Return the ids of the force fields that depend on position or speed: springs and viscous fields."""
     return [id for id, item in objects.items() if item.kind == "spring" or item.kind == "viscous"]
 
 
@@ -269,7 +269,10 @@ def used_materials(objects: Iterable[SceneObject]) -> set[str]:
 
 
 def of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:
-    """Return few objects that use all materials: those with several, and the first one of each other material."""
+    """Return a small selection of objects that together use all materials of `objects`.
+
+    It has the objects with several materials, and the first object of each other material.
+    """
     found: dict[str, SceneObject] = {}
     seen: set[str] = set()
     for id, item in objects.items():
@@ -288,7 +291,7 @@ class Display(Model):
 
 
 def _patches_fault(objects: Mapping[str, SceneObject]) -> str | None:
-    """Return the fault of objects with too many patches for a scene, or None."""
+    """Return the fault of objects that together have more patches than a scene may have, or None."""
     patches = sum(len(item.patches) for item in objects.values() if item.kind == "wall")
     too_many = f"must have at most {MAX_SCENE_PATCHES} patches in all, have {patches}"
     return too_many if patches > MAX_SCENE_PATCHES else None
@@ -356,16 +359,16 @@ SceneSource: TypeAlias = "Scene | Mapping[str, object] | str | os.PathLike[str]"
 
 
 def load_scene(source: SceneSource) -> Scene:
-    """Load a scene from a mapping or a YAML file, which holds a scene, or only the section `scene`.
+    """Load a scene from a mapping or a YAML file, which holds the keys of a scene, or a key `scene` with them.
 
-    Whether its materials exist is not checked here: see reference_problems. Raises InvalidError, with file
+    Whether the scene's materials exist is not checked here: see reference_problems. Raises InvalidError, with file
     and line for a file; HapticdError for a file that cannot be read.
     """
     return source if isinstance(source, Scene) else read_scene(source)[0]
 
 
 def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[Scene, Document, Path]:
-    """Load a scene as load_scene does; return it, its document, and its path in the document."""
+    """Load a scene as load_scene does; return the scene, its document, and the scene's path in the document."""
     document = Document(plain(source)) if isinstance(source, Mapping) else load_path(arguments.path("scene", source))
     refuse_other_kinds(document, "scene", "bare scene")
     data = document.data
@@ -444,5 +447,5 @@ def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[s
 def reference_problems(
     objects: Mapping[str, SceneObject], materials: Collection[str], root: Path = ()
 ) -> list[Problem]:
-    """Return reference_faults as problems; `where` begins with `root`, then `objects`."""
+    """Return the faults of objects with unknown materials as problems; `where` begins with `root`, then `objects`."""
     return [Problem(path_text(root + path), text) for path, text in reference_faults(objects, materials)]

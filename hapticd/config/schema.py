@@ -43,7 +43,7 @@ def unit_suffix_of(key: str) -> str:
 
 
 def closed(schema: Json) -> Json:
-    """Return a JSON Schema in which the keys of a mapping must match its pattern; pydantic's allows other keys."""
+    """Return a JSON Schema that allows only keys matching a mapping's pattern; that of pydantic also allows others."""
     if isinstance(schema, list):
         return [closed(each) for each in schema]
     if not isinstance(schema, dict):

@@ -25,7 +25,7 @@ _MAX_SUGGESTIONS: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class ShippedScene:
-    """A shipped file, with the description in its first comment."""
+    """A shipped file (scene, study or sweep), with the description in its first comment."""
 
     name: str
     shows: str
@@ -35,7 +35,7 @@ class ShippedScene:
     file: str
 
     def to_dict(self) -> dict[str, str | None]:
-        """Return the fields as plain data."""
+        """Return name, description and operator of the shipped file as plain data."""
         return {"name": self.name, "shows": self.shows, "operator": self.operator, "file": self.file}
 
 

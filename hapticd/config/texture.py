@@ -44,7 +44,7 @@ MAX_ORDER: Final = 32
 MAX_MODELS: Final = 64
 """Maximum number of models of a texture."""
 MAX_SEED: Final = 2**53
-"""Maximum seed; a JSON number holds it exactly."""
+"""Maximum seed of a texture's noise: the largest integer that a JSON number holds exactly."""
 MAX_RMS_M_PER_S2: Final = 1e6
 """Maximum RMS acceleration of a model."""
 
@@ -186,9 +186,9 @@ class Grooves(CheckedTogether):
 
     @property
     def own_modes(self) -> tuple[Mode, ...]:
-        """Mode of the texture's strikes; for a frequency table its modes of lowest and highest frequency.
+        """Ringing mode that each groove strikes; for a frequency table its modes of lowest and highest frequency.
 
-        Empty if the texture has no mode.
+        Empty if the texture itself has no mode.
         """
         keys = self._mode_keys()
         if keys is None:
@@ -199,7 +199,7 @@ class Grooves(CheckedTogether):
         return tuple(replace(keys.mode, angular_frequency_rad_per_s=2 * math.pi * hz) for hz in bounds_hz)
 
     def _mode_keys(self) -> ModeKeys | None:
-        """Return the keys of the mode, with a frequency table at its lowest frequency; None without a mode."""
+        """Return the keys of the grooves' ringing mode, at the lowest frequency of a table; None without a mode."""
         given = {key: value for key in _RINGING_MODE_KEYS if (value := getattr(self, key)) is not None}
         if self.frequency_table is not None:
             given = {key: value for key, value in given.items() if key not in _ONE_FREQUENCY}
@@ -273,7 +273,7 @@ class Stochastic(Model):
 
 
 class AutoregressiveModel(CheckedTogether):
-    """A model identified at one speed and force: x[n] = -(a_1 x[n-1] + ... + a_p x[n-p]) + e[n]."""
+    """A noise model x[n] = -(a_1 x[n-1] + ... + a_p x[n-p]) + e[n], identified at one speed and force; e is noise."""
 
     model_config = ConfigDict(json_schema_extra=one_of("rms_m_per_s2", "variance_m2_per_s4"))
 
@@ -290,7 +290,7 @@ class AutoregressiveModel(CheckedTogether):
     )
 
     def level(self, reflection: Sequence[float]) -> float:
-        """Return the RMS of x in m/s^2: the given one, or sqrt(variance / prod(1 - k^2)), k in `reflection`."""
+        """Return the RMS of the noise x in m/s^2: that given, or sqrt(variance / prod(1 - k^2)), k in `reflection`."""
         if self.rms_m_per_s2 is not None:
             return self.rms_m_per_s2
         assert self.variance_m2_per_s4 is not None

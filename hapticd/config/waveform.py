@@ -64,7 +64,7 @@ class Waveform(CheckedTogether):
 
     @cached_property
     def curve(self) -> Curve:
-        """The curve through the samples; it caches its peaks and energies."""
+        """The curve s(t) through the waveform's samples; the curve caches its peaks and energies."""
         return _curve(self.samples, self.rate_hz)
 
     def coefficient(self, amplitude: float, attack: Attack) -> float:
@@ -88,7 +88,7 @@ class Curve:
         self._above: tuple[float, float] | None = None
 
     def at(self, time_s: npt.ArrayLike) -> Floats:
-        """Return the curve at times since the onset, in s, of any shape; 0 outside the samples."""
+        """Return the values of the curve at times since the onset, in s, of any shape; 0 outside the samples."""
         place = np.asarray(time_s, dtype=np.float64) * self.rate_hz
         last = len(self._begin)
         k = np.clip(np.floor(place), 0, last - 1).astype(np.intp)
@@ -98,7 +98,7 @@ class Curve:
 
     @cached_property
     def _peaks(self) -> tuple[Floats, Floats]:
-        """Largest magnitude of each cubic, and its relative position between the two samples, 0 to 1."""
+        """Largest magnitude of the cubic between two samples, for each, and its relative position there, 0 to 1."""
         places = np.zeros((4, len(self._begin)))
         places[1] = 1.0
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -120,28 +120,28 @@ class Curve:
 
     @property
     def peak_time_s(self) -> float:
-        """Time of the largest magnitude since the onset, in s."""
+        """Time from the onset to the largest magnitude of the curve, in s."""
         values, places = self._peaks
         k = int(np.argmax(values))
         return (k + float(places[k])) / self.rate_hz
 
     @cached_property
     def middle_hz(self) -> float:
-        """Frequency in Hz below which half of the energy lies."""
+        """Frequency in Hz below which half of the curve's energy lies."""
         frequency, below = _energy(self)
         return float(np.interp(0.5, below, frequency))
 
     def energy_above(self, frequency_hz: float) -> float:
-        """Return the fraction of the energy above a frequency, 0 to 1."""
+        """Return the fraction of the curve's energy above a frequency, 0 to 1."""
         known = self._above
         if known is None or known[0] != frequency_hz:
             known = self._above = frequency_hz, 1.0 - float(np.interp(frequency_hz, *_energy(self)))
         return known[1]
 
     def peaks_from(self, parts: int) -> Floats:
-        """Return an upper bound of the magnitude after the start of each of `parts` equal parts, shape (parts,).
+        """Return, for each of `parts` equal parts of the curve, an upper bound of |s| from the part's start to the end.
 
-        A cubic in which a part starts is included completely.
+        The shape is (parts,). A cubic in which a part starts counts completely.
         """
         values = self._peaks[0]
         later_peaks = np.maximum.accumulate(values[::-1])[::-1]
@@ -149,7 +149,7 @@ class Curve:
         return np.asarray(later_peaks[first], dtype=np.float64)
 
     def numbers(self) -> Floats:
-        """Return the values in the core's table: the samples, then the peaks of HD_WAVE_PARTS parts."""
+        """Return the waveform's table for the C core: the samples, then the values of peaks_from(HD_WAVE_PARTS)."""
         return np.concatenate((self._begin, [0.0], self.peaks_from(WAVEFORM_PARTS)))
 
 

@@ -61,7 +61,7 @@ class MissedPeriods(UserWarning):
 
 
 class ForcesOff(UserWarning):
-    """A lease is held, but a fault keeps the forces off until `set_forces(True)`."""
+    """A client holds the lease, under which forces may be on, but a fault keeps them off until `set_forces(True)`."""
 
 
 def encode_request(id: int, method: str, params: Mapping[str, object] | None) -> bytes:
@@ -85,7 +85,7 @@ def encode_request(id: int, method: str, params: Mapping[str, object] | None) ->
 
 
 def result_of(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
-    """Return the result of a call, or raise its error.
+    """Return the result of a call to the daemon, or raise the error with which the daemon replied.
 
     Faults and warnings of params that were read from a file are reported with their lines in that file.
     """

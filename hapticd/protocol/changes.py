@@ -15,7 +15,7 @@ from hapticd.config.scene import Scene, SceneObject, Wall
 from hapticd.config.texture import Autoregressive
 
 MAX_LISTED_CHANGES: Final = 1000
-"""Largest number of objects, and of materials, that a change lists. If more change, clients request the scene."""
+"""Largest number of objects, and of materials, in a message on the topic `change`. Above, clients get the scene."""
 MAX_FLIGHT_OBJECTS: Final = 2000
 """Largest number of objects of a scene in a flight file: encoding a larger scene would delay commands."""
 MAX_FLIGHT_PARTS: Final = 4000
@@ -26,7 +26,7 @@ _SCENE_KEYS: Final = tuple(name for name in Scene.model_fields if name != "objec
 
 
 class Revised(NamedTuple):
-    """A revision of the scene or the materials: changed objects, materials and keys, with None for removed ones."""
+    """Differences of a revision of scene and materials to the one before; None stands for what was removed."""
 
     revision: int
     scene: Mapping[str, object]
@@ -34,7 +34,7 @@ class Revised(NamedTuple):
     objects: Mapping[str, SceneObject | None]
     materials: Mapping[str, Material | None]
     complete: tuple[Scene, Materials] | None
-    """The new scene and materials if more has changed than a change lists, otherwise None."""
+    """The new scene and materials if more has changed than a message on the topic `change` lists, otherwise None."""
     rate_hz: float | None = None
     """The new servo rate if it has changed, otherwise None."""
 
@@ -50,7 +50,7 @@ class Played(NamedTuple):
 
 
 class Reset(NamedTuple):
-    """Contact states cleared by `reset`: of the ids in `objects`, or of all objects if None."""
+    """A call of `reset`, which clears contact states: of the objects with these ids, or if None of all objects."""
 
     tick: int
     objects: tuple[str, ...] | None
@@ -60,7 +60,7 @@ Change: TypeAlias = Revised | Played | Reset
 
 
 def change_map(change: Change) -> dict[str, object]:
-    """Return a change as a map, as docs/protocol.md describes it."""
+    """Return a change of scene or materials, a struck mode or a reset as a map, as docs/protocol.md describes it."""
     match change:
         case Played(tick, mode, attack, direction, amplitude):
             return {
@@ -106,7 +106,7 @@ def part_count(item: Model | None) -> int:
 def revised(
     revision: int, before: Scene, after: Scene, ids: Collection[str], old: Materials, new: Materials
 ) -> Revised:
-    """Return the changes of a revision; `ids` are the objects that may have changed.
+    """Return the differences between two revisions of scene and materials; `ids` name objects that may have changed.
 
     If they are few, the result references only them, not the scenes, since many revisions may wait to be published.
     """

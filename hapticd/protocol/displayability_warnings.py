@@ -38,7 +38,7 @@ class MaterialReport(NamedTuple):
     warnings: list[Problem]
     """Parts that are displayed, but not as written."""
     no_faults: bool
-    """Whether there is nothing to report, and no texture has a frequency above half the rate."""
+    """Whether there is nothing to report, and no texture has a frequency above half the output's rate."""
 
     @classmethod
     def of(cls, name: str, material: Material, output: Output) -> Self:
@@ -48,7 +48,7 @@ class MaterialReport(NamedTuple):
         return cls(material, output, not_displayed, warnings, no_faults)
 
     def problems(self, name: str, played: Collection[tuple[str, str]]) -> list[Problem]:
-        """Return all problems, with their paths in a configuration.
+        """Return everything of the material that is not displayed as written, with paths in a configuration.
 
         `played` are pairs of material and mode that the device plays itself.
         """
@@ -84,7 +84,7 @@ def change_warnings(
     root: Path,
     played: Collection[tuple[str, str]] = (),
 ) -> list[Problem]:
-    """Return at most MAX_FAULTS warnings of the objects and materials in a message, and of materials they name.
+    """Return at most MAX_FAULTS warnings of objects and materials in a message, and of materials that the objects name.
 
     Paths of objects begin with `root`, those of materials in `sent` with `materials`. Other materials are reported
     with the path of the first object that names them. `reports` has all these materials. `played` are pairs of
@@ -108,7 +108,7 @@ def change_warnings(
 
 
 def _is_fine(item: SceneObject, reports: Mapping[str, MaterialReport]) -> bool:
-    """Return whether an object certainly has no warnings."""
+    """Return whether all materials of an object are certainly displayed as written, without a closer check."""
     if item.kind == "wall" and item.patches:
         return False
     return all(reports[name].no_faults for name in material_names(item))

@@ -14,14 +14,14 @@ from hapticd.protocol.marks import Mark
 
 
 def fault_names(faults: Fault) -> list[str]:
-    """Return the names of latched faults, in lower case."""
+    """Return the names of the faults in a set of flags, in lower case."""
     return [fault.name.lower() for fault in Fault if fault in faults and fault.name]
 
 
 def event_map(event: Any, object_id: str | None, mark: Mark | None = None) -> dict[str, object]:
-    """Return a record of `hapticd.base.core.EVENT_DTYPE` as a map.
+    """Return an event, a record of `hapticd.base.core.EVENT_DTYPE`, as a map.
 
-    `object_id` is the id of its object, `mark` its mark, if any.
+    `object_id` is the id of the event's object, `mark` the text and data of a mark, each None if there is none.
     """
     kind = EventKind(int(event["kind"]))
     time_ns = int(event["time_ns"])

@@ -16,11 +16,11 @@ from hapticd.base.model import DescribedAs, Model
 from hapticd.base.yaml_source import Json
 
 MAX_MARK_DATA_BYTES: Final = 8192
-"""Largest size of the data of a mark as JSON, in bytes."""
+"""Largest size of the data that a client attaches to a mark, as JSON, in bytes."""
 
 
 class MarkParams(Model):
-    """Params of `mark`."""
+    """Params of the method `mark`, which puts a text and data into the event stream."""
 
     text: Annotated[str, Field(min_length=1, max_length=1000)] = Field(description="text of the mark")
     data: Annotated[object, DescribedAs(None | bool | float | str | list[object] | dict[str, object])] = Field(
@@ -29,7 +29,7 @@ class MarkParams(Model):
 
 
 class Mark(NamedTuple):
-    """Text and data of a mark."""
+    """Text and data of a mark, a note that a client puts into the event stream."""
 
     text: str
     data: Json

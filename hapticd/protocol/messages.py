@@ -22,7 +22,7 @@ PROTOCOL_VERSION: Final = 1
 """Version of the protocol, which is independent of the version of the package."""
 
 MAX_GESTURE_ENDS: Final = 16
-"""Number of the latest ends of gestures that a status lists."""
+"""Number of ends of gestures (motions of the simulated hand) that a status lists, the latest ones."""
 
 MAX_BODY_BYTES: Final = 2 * 1024 * 1024
 """Largest body of a request, in bytes."""
@@ -34,7 +34,7 @@ _MAX_SHARED_STRING_CHARACTERS: Final = 64
 """Equal strings up to this length, in characters, share memory in a decoded body; most are names of materials."""
 
 _MAX_FLAT_BODY_BYTES: Final = 4096
-"""Largest body decoded without a scan of its structure, in bytes. A false length in it allocates 4096 elements."""
+"""Largest body decoded without a scan of its structure, in bytes. A false length in such a body costs 4096 elements."""
 # The tags of maps and arrays, and of extensions. They also occur inside strings and numbers, so their count is an upper
 # bound of the number of containers or extensions.
 _CONTAINER_TAGS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
@@ -154,7 +154,7 @@ def _is_flat(body: bytes) -> bool:
 
 
 def check_encoded(body: bytes) -> None:
-    """Raise WireError as `decode` does, for a body encoded by this process; short bodies take half of its time."""
+    """Raise WireError as `decode` does, for a body that this process encoded; if short, in half the time."""
     # msgpack accepts keys of bytes and timestamps, `decode` does not; so bodies that may have them go to `decode`.
     if _is_flat(body) and _BIN8_TAG not in body and _TIMESTAMP_TYPE not in body:
         try:
@@ -293,7 +293,7 @@ def peek(body: bytes) -> Request | None:
 
 
 def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> bytes:
-    """Return the body of a call."""
+    """Return the body of a request that calls a method."""
     message: dict[str, object] = {"jsonrpc": "2.0", "id": id, "method": method}
     if params:
         message["params"] = params
@@ -322,9 +322,9 @@ def error_reply(id: Id, code: int, message: str, data: object = None) -> bytes:
 
 
 def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
-    """Return whether the reply needs an empty delimiter frame, and the body, or None if the frames are invalid.
+    """Return whether the reply to a request needs an empty delimiter frame, and the body of the request.
 
-    `frames` are those after the identity.
+    The body is None if the frames are invalid. `frames` are those after the identity of the client.
     """
     count = len(frames)
     if count == 1:
@@ -336,5 +336,5 @@ def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
 
 
 def too_long_reply(size: int) -> bytes:
-    """Return the error reply to a body of `size` bytes, more than MAX_BODY_BYTES. Its id is unknown."""
+    """Return the error reply to a request of `size` bytes, more than MAX_BODY_BYTES; its id is unknown."""
     return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY_BYTES))

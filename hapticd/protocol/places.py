@@ -26,7 +26,10 @@ _RETRY_PERIOD_S: Final = 0.02
 
 
 def place_of(directory: str | os.PathLike[str] | None) -> RuntimePaths:
-    """Return the paths of a daemon, by default those of the environment. Raises HapticdError for an invalid path."""
+    """Return the paths below a daemon's runtime directory, by default that of the environment.
+
+    Raises HapticdError for an invalid path.
+    """
     if directory is not None:
         arguments.path("runtime_dir", directory)
     threads.check_client()
@@ -60,7 +63,7 @@ def _try_connect(path: Path) -> None:
 
 
 def _permission_text(paths: RuntimePaths) -> str:
-    """Return the error for missing permission to the sockets, with their owner."""
+    """Return the error text for a user who must not open a daemon's sockets; it names the owner of the sockets."""
     refused = f"{paths.command}: permission denied"
     try:
         status = os.stat(paths.directory)
@@ -93,7 +96,7 @@ def await_ready(place: RuntimePaths, wait_s: float, given_up: Callable[[], bool]
 
 
 def no_answer(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
-    """Return the error for a missing answer: no daemon listens, or it did not answer within `timeout_s`."""
+    """Return the error for a call without a reply: no daemon listens, or it did not answer within `timeout_s`."""
     try:
         probe(paths)
     except DaemonNotRunning as error:
@@ -104,12 +107,12 @@ def no_answer(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
 
 
 def after_waiting(error: DaemonNotRunning, wait_s: float) -> DaemonNotRunning:
-    """Return the error with a note on the time that was spent waiting for a daemon to start."""
+    """Return the error DaemonNotRunning with a note on the time that was spent waiting for a daemon to start."""
     return DaemonNotRunning(f"{error} (waited {wait_s:g} s for it)" if wait_s > 0 else str(error))
 
 
 def has_ended(place: RuntimePaths) -> bool:
-    """Whether no daemon listens on the telemetry socket."""
+    """Return whether no daemon listens on the telemetry socket any more."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
         trial.setblocking(False)  # a stopped daemon accepts no connection
         return trial.connect_ex(os.fspath(place.telemetry)) in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR)

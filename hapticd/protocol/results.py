@@ -22,7 +22,7 @@ class GestureEnd(TypedDict):
 
 
 class OperatorStatus(TypedDict):
-    """The tick of the last `set_operator` (None if there was none), and the latest ends of gestures, oldest first."""
+    """State of the simulated hand: tick of the last `set_operator` or None, and ends of motions, the oldest first."""
 
     started_tick: int | None
     ends: list[GestureEnd]
@@ -85,7 +85,7 @@ class ConfigResult(TypedDict):
 
 
 class SceneResult(TypedDict):
-    """The scene and its revision.
+    """The scene and its revision (number of the last change of scene or materials).
 
     `margins` has the stability margin of each surface alone, by id: the factor by which its stiffness could grow, None
     if unlimited. It is absent if mass and damping of the handle are unknown.
@@ -104,7 +104,7 @@ class Warned(TypedDict):
 
 
 class RevisionResult(TypedDict):
-    """The revision of a change; with `wait`, also the first tick that was rendered with it or a later one.
+    """The number of a change of scene or materials; with `wait` also the first tick rendered with it or a later one.
 
     `margins` is as in `get_scene`, for new and changed surfaces. `warning` says why forces are off. `warnings` lists
     parts of the change that are not displayed as written.
@@ -118,7 +118,7 @@ class RevisionResult(TypedDict):
 
 
 class MaterialsResult(TypedDict):
-    """All materials by name, and the revision."""
+    """All materials by name, and the revision: the number of the last change of scene or materials."""
 
     materials: dict[str, dict[str, Json]]
     revision: int
@@ -131,14 +131,14 @@ class TickResult(TypedDict):
 
 
 class PlayResult(TickResult):
-    """The tick of `play`, and the displayed frequency of the mode, None if it is silent."""
+    """The tick at which `play` struck a mode, and the frequency at which it is displayed, None if it is silent."""
 
     displayed_hz: float | None
     warnings: NotRequired[list[Warned]]
 
 
 class SignsCheck(TypedDict):
-    """State of the check of a device's axis signs, and what the user can do."""
+    """State of the check whether a device pushes in the right direction along each axis, and advice for the user."""
 
     state: Literal["unchecked", "trusted", "checking", "waiting", "right", "wrong", "unclear"]
     axis: Literal["x", "y"] | None
@@ -147,7 +147,10 @@ class SignsCheck(TypedDict):
 
 
 class ForcesResult(TickResult):
-    """The tick of `set_forces`, the state of the forces, and the check of axis signs if the scene waits for it."""
+    """The tick of `set_forces`, and the state of the forces.
+
+    `signs` is present while the daemon checks the directions of the device's forces, before it displays the scene.
+    """
 
     forces: Literal["on", "off", "faulted"]
     signs: NotRequired[SignsCheck]
@@ -161,14 +164,14 @@ class StreamedForceResult(TypedDict):
 
 
 class OperatorResult(TickResult):
-    """The tick of `set_operator`, and the duration of the motion."""
+    """The tick at which `set_operator` began a motion of the simulated hand, and the duration of the motion."""
 
     duration_s: float
     warnings: NotRequired[list[Warned]]
 
 
 class LeaseResult(TypedDict):
-    """The token that renews or ends the lease, None after its end."""
+    """The token with which a client renews or ends its lease, without which forces fade out; None after its end."""
 
     token: str | None
     warning: NotRequired[str]
@@ -181,7 +184,7 @@ class FlightResult(TypedDict):
 
 
 class State(TypedDict):
-    """The newest sample; vectors are [x, y].
+    """The newest sample of the servo, one tick; vectors are [x, y].
 
     `touching` has the ids of touched objects, `flag_names` the names of the flags. `contact_force_n` is the force of
     touched objects and fields after the passivity controller, `vibration_force_n` that of ringing modes and the noise
@@ -220,7 +223,7 @@ class Revised(TypedDict):
 
 
 class StruckMode(TypedDict):
-    """A mode, with the parameters of `play`."""
+    """A ringing mode (decaying sinusoid) with the parameters of the method `play`."""
 
     angular_frequency_rad_per_s: float
     decay_rate_per_s: float
@@ -230,7 +233,7 @@ class StruckMode(TypedDict):
 
 
 class Played(TypedDict):
-    """A mode that `play` struck, and its tick."""
+    """A ringing mode that the method `play` struck, and the tick at which it began."""
 
     tick: int
     play: StruckMode
@@ -243,13 +246,13 @@ class ResetObjects(TypedDict):
 
 
 class ResetDone(TypedDict):
-    """The objects whose contacts `reset` cleared, and its tick."""
+    """The objects whose contacts the method `reset` cleared, and the tick at which it did."""
 
     tick: int
     reset: ResetObjects
 
 
 Change: TypeAlias = Revised | Played | ResetDone
-"""A change by a command."""
+"""A change by a command: of scene or materials, by `play`, or by `reset`."""
 Event: TypeAlias = "dict[str, Json]"
 """An event: its kind `event`, its time `tick` and `time_ns`, and members that depend on the kind."""

@@ -24,7 +24,7 @@ MAX_SEQ: Final = 2**63 - 1
 
 
 class Streamed(NamedTuple):
-    """One message of a stream."""
+    """One message of a stream: a target position of the simulated hand or a force, with its sequence number."""
 
     kind: Kind
     seq: int
@@ -39,7 +39,7 @@ _NUMBER_FORMAT_BY_TAG: Final = {0xCC: "xB", 0xCD: "xH", 0xCE: "xI", _UINT64_TAG:
 
 
 class _Form:
-    """Fixed bytes and struct formats of the messages of one method."""
+    """Fixed bytes and struct formats of the messages of one streaming method."""
 
     def __init__(self, method: str) -> None:
         self.kind = kind = STREAM_KIND_BY_METHOD[method]
@@ -59,13 +59,16 @@ _TARGET, _FORCE = _FORM_BY_KIND["target"], _FORM_BY_KIND["force"]
 
 
 def write(kind: Kind, seq: int, x: float, y: float) -> bytes:
-    """Return the body of a notification. Raises struct.error for a value that is not a number."""
+    """Return the body of a message with a streamed target or force. Raises struct.error for a value not a number."""
     form = _FORM_BY_KIND[kind]
     return form.written.pack(form.head, _UINT64_TAG, seq, form.middle, x, _FLOAT64_TAG, y)
 
 
 def read(body: bytes) -> Streamed | None:
-    """Return the message in a body, or None if it is not encoded as by `write`; integers may be shorter."""
+    """Return the streamed target or force in a body, or None if the body is not encoded as `write` does.
+
+    Integers may be shorter than those of `write`.
+    """
     if body.startswith(_TARGET.head):
         form = _TARGET
     elif body.startswith(_FORCE.head):

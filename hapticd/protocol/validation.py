@@ -16,7 +16,7 @@ from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, scene_steps, v
 
 
 def _same_kind(before: SceneObject, patch: object) -> SceneObject | None:
-    """Return the object with some keys replaced, without the slower conversion to a dictionary and back.
+    """Return a scene object with the keys of `patch` replaced, without the slower conversion to a dictionary and back.
 
     Returns None for a faulty patch, and for one that changes `kind` or `patches`, removes a key or merges a mapping.
     """
@@ -32,7 +32,7 @@ def _same_kind(before: SceneObject, patch: object) -> SceneObject | None:
 
 
 def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str, SceneObject | None]]:
-    """Return the objects after merge patches, None for removed ones; in steps of one object.
+    """Return the patched objects by id, None for removed ones; a generator that pauses after each object.
 
     Raises InvalidError with the faults of all objects.
     """
@@ -74,7 +74,7 @@ def _no_object(id: str, scene: Scene) -> str:
 
 
 def replaced_materials(given: Mapping[str, object], before: Materials) -> Steps[dict[str, Material]]:
-    """Return all materials after replacing those given, in steps of one material. Raises InvalidError."""
+    """Return all materials after replacing those given; a generator that pauses after each. Raises InvalidError."""
     check_count(given, MAX_MATERIALS, ("materials",))
     removed = "must be a mapping, is null; update_materials removes a material"
     problems = [Problem(path_text(("materials", name)), removed) for name, each in given.items() if each is None]
@@ -90,7 +90,7 @@ def replaced_materials(given: Mapping[str, object], before: Materials) -> Steps[
 
 
 def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[tuple[dict[str, Material], list[str]]]:
-    """Return all materials after merge patches, and the names of the merged ones; in steps of one material.
+    """Return all materials after merge patches, and the names of the patched ones; a generator that pauses after each.
 
     The value null removes a material, or restores it if it is shipped. Raises InvalidError.
     """
@@ -114,7 +114,7 @@ def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[t
 def further_faults(
     method: str, params: Mapping[str, object], scene: Scene, materials: Materials
 ) -> Steps[list[Problem]]:
-    """Return the faults of scene, objects and materials in params that are faulty elsewhere, to report all at once."""
+    """Return the faults of scene, objects and materials in a message, one whose other params are already faulty."""
     objects, given = params.get("objects"), params.get("materials")
     checks: list[Steps[object]] = []
     if method == "update_scene" and isinstance(objects, dict):

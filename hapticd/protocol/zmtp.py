@@ -28,7 +28,7 @@ _LONG_SIZE_FORMAT: Final = struct.Struct(">Q")
 _MAX_KEPT_FRAMES: Final = 2
 """Largest number of frames of a message that is kept in full."""
 _NO_FRAME: Final = -1
-"""Value of `Parser._left` between two frames."""
+"""Value of `Parser._left`, the number of missing bytes, between two frames."""
 _NO_GREETING: Final = -2
 """Value of `Parser._left` before the greeting."""
 
@@ -42,7 +42,7 @@ class ZmtpError(HapticdError):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Limits of the messages of one peer."""
+    """Limits of the messages that a parser accepts from one peer."""
 
     frames: int
     """Largest number of parts (frames) of a message."""
@@ -65,7 +65,7 @@ class Message:
 
 @dataclass(slots=True)
 class Command:
-    """A command: its name, for example `READY`, and the data after the name."""
+    """A command of ZMTP: its name, for example `READY`, and the data after the name."""
 
     name: bytes
     data: bytes
@@ -88,13 +88,13 @@ def header(size: int, flags: int = 0) -> bytes:
 
 
 def message(frames: list[bytes]) -> bytes:
-    """Return the bytes of a message."""
+    """Return the bytes of a ZMTP message that consists of these frames."""
     last = len(frames) - 1
     return b"".join([header(len(each), MORE_FLAG if n < last else 0) + each for n, each in enumerate(frames)])
 
 
 def command(name: bytes, data: bytes = b"") -> bytes:
-    """Return the bytes of a command."""
+    """Return the bytes of a ZMTP command."""
     return header(1 + len(name) + len(data), COMMAND_FLAG) + bytes((len(name),)) + name + data
 
 
@@ -158,7 +158,7 @@ class Parser:
 
     @property
     def held(self) -> int:
-        """Approximate number of bytes that are kept of an incomplete message."""
+        """Approximate number of bytes that the parser keeps of an incomplete message."""
         return 0 if self._cut else self._size - max(self._left, 0)
 
     def next(self) -> Event | None:
@@ -204,7 +204,7 @@ class Parser:
         return Greeted()
 
     def _open(self) -> bool:
-        """Begin the next frame; return false if its header is incomplete."""
+        """Read the header of the next frame; return false if the header is incomplete."""
         buffer, at = self._buffer, self._at
         if len(buffer) - at < 2:
             return False
