@@ -1,8 +1,7 @@
-"""Writes what pages repeat of the code: `make docs-tables`. A test compares the pages with it.
+"""Writes the tables of the pages that repeat the code: `make docs-tables`. A test compares the pages with the code.
 
-Tables of keys stand below the heading of their model in materials.md. Other tables stand between two marks,
-`<!-- NAME: written by make docs-tables -->` and `<!-- end -->`; of tables with
-explanations only the figures are written.
+A table of keys is below the heading of its model in materials.md. Other tables are between the marks
+`<!-- NAME: written by make docs-tables -->` and `<!-- end -->`. In tables with explanations only figures are written.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from hapticd.base.yaml_source import Json
 from hapticd.config.configuration import Device
 from hapticd.config.schema import config_schema, unit_of
 from hapticd.daemon import peers, publisher, router
-from hapticd.fit import limits
+from hapticd.fit import limits as fit_limits
 from hapticd.fit.verdict import LOWER_LIMITS, UPPER_LIMITS
 from hapticd.protocol import messages
 
@@ -30,7 +29,7 @@ Schema = dict[str, Json]
 
 
 def block(page: str, name: str, rows: Sequence[Sequence[object]], heads: Sequence[str] = ("what", "limit")) -> str:
-    """Return the page with these rows as the table between the marks of that name."""
+    """Return the page with `rows` as the table between the marks of `name`."""
     table = "\n".join(f"| {' | '.join(map(str, row))} |" for row in (heads, ["---"] * len(heads), *rows))
     begin, end = f"<!-- {name}: written by make docs-tables -->", "<!-- end -->"
     before, _, rest = page.partition(begin)
@@ -40,29 +39,29 @@ def block(page: str, name: str, rows: Sequence[Sequence[object]], heads: Sequenc
 
 
 def filled(page: str, name: str, cells: Mapping[int, object]) -> str:
-    """The page with these cells, by their column, in the row whose first cell begins with a name."""
+    """Return the page with new cells, by their column, in the row whose first cell begins with `name`."""
     row = re.search(rf"^\| {re.escape(name)}(?=[ ,:]).*\|$", page, flags=re.MULTILINE)
     if row is None:
         raise ValueError(f"no row of {name}")
-    found = row[0].split(" | ")
+    written = row[0].split(" | ")
     for column, cell in cells.items():
-        found[column] = f"{cell} |" if column == len(found) - 1 else str(cell)
-    return page.replace(row[0], " | ".join(found), 1)
+        written[column] = f"{cell} |" if column == len(written) - 1 else str(cell)
+    return page.replace(row[0], " | ".join(written), 1)
 
 
 # ---- materials.md ----------------------------------------------------------------------------------------------------
 
 
 def materials(page: str) -> str:
-    """Description and keys of every model."""
+    """Return materials.md with the description and the keys of every model."""
     for name, schema in _models().items():
-        stands = re.search(rf"^### {name}\n\n.*?\n\n\|.*?\n(?=\n|\Z)", page, flags=re.MULTILINE | re.DOTALL)
-        if stands is None:
+        present = re.search(rf"^### {name}\n\n.*?\n\n\|.*?\n(?=\n|\Z)", page, flags=re.MULTILINE | re.DOTALL)
+        if present is None:
             raise ValueError(f"no ### {name} with a description and a table")
-        told = f"### {name}\n\n{schema['description']}\n\n{_keys(name, schema)}\n"
-        # The code has no links.
-        if re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", stands[0]) != told:
-            page = page.replace(stands[0], told)
+        written = f"### {name}\n\n{schema['description']}\n\n{_keys(name, schema)}\n"
+        # Links are only in the page: text that differs in nothing else stays.
+        if re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", present[0]) != written:
+            page = page.replace(present[0], written)
     return page
 
 
@@ -75,8 +74,8 @@ def _models() -> dict[str, Schema]:
     return {name: _map(schema) for name, schema in _map(config_schema()["$defs"]).items()}
 
 
-def _sound(schema: Schema) -> Schema:
-    """A property without `| null`."""
+def _without_null(schema: Schema) -> Schema:
+    """Return the schema of a property without its option null."""
     options = schema.get("anyOf")
     if isinstance(options, list):
         return _map(next(option for option in options if _map(option).get("type") != "null"))
@@ -100,32 +99,30 @@ def _limits(schema: Schema) -> str:
             return "`true`, `false`"
         case {"minimum": int() | float() as low, "maximum": int() | float() as high}:
             return f"{_number(low)} to {_number(high)}" + (", integer" if schema["type"] == "integer" else "")
-        case {"items": {"prefixItems": list()} as item, "minItems": int() as least, "maxItems": int() as most}:
-            return f"{least} to {most} times {_limits(_map(item))}"
+        case {"items": {"prefixItems": list()} as item, "minItems": int() as low, "maxItems": int() as high}:
+            return f"{low} to {high} pairs, {_limits(_map(item)).removeprefix('two numbers, ')}"
         case {"pattern": "^[0-9a-f]{64}$"}:
             return "64 hex digits"
         case {"pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}$"}:
             return "a day, such as 2026-01-31"
-        case {"items": {"$ref": str()} as item, "maxItems": int() as most}:
-            return f"a list, {_limits(_map(item))}, at most {most}"
-        case {"items": {"type": "array"} as item, "minItems": int() as least, "maxItems": int() as most}:
-            return f"{least} to {most} lists of {_limits(_map(item))}"
-        case {"items": {"type": "number"} as item, "minItems": int() as least, "maxItems": int() as most}:
-            return f"{least} to {most} numbers, {_limits(_map(item))}"
+        case {"items": {"$ref": str()} as item, "maxItems": int() as high}:
+            return f"a list, {_limits(_map(item))}, at most {high}"
+        case {"items": {"type": "array"} as item, "minItems": int() as low, "maxItems": int() as high}:
+            return f"{low} to {high} lists of {_limits(_map(item))}"
+        case {"items": {"type": "number"} as item, "minItems": int() as low, "maxItems": int() as high}:
+            return f"{low} to {high} numbers, {_limits(_map(item))}"
         case {"oneOf": list() as members}:
             return "see " + ", ".join(_limits(_map(member)).removeprefix("see ") for member in members)
         case {"items": {"enum": list() as options}}:
             return "a list of " + ", ".join(f"`{option}`" for option in options)
-        case {"items": {"minLength": 1}, "maxItems": int() as most}:
-            return f"at most {most}"
-        case {"items": {"type": "string"}, "maxItems": int() as most}:
-            return f"a list of reports in hex, at most {most}"
-        case {"maxProperties": int() as most}:
-            return f"at most {most}"
+        case {"items": {"minLength": 1}, "maxItems": int() as high} | {"maxProperties": int() as high}:
+            return f"at most {high} entries"
+        case {"items": {"type": "string"}, "maxItems": int() as high}:
+            return f"a list of reports in hex, at most {high}"
         case {"$ref": str() as reference}:
             return f"see {reference.rpartition('/')[2]}"
-        case {"maxLength": int() as most}:
-            return f"a name, at most {most} characters"
+        case {"maxLength": int() as high}:
+            return f"text, at most {high} characters"
     raise AssertionError(schema)
 
 
@@ -158,9 +155,9 @@ def _keys(name: str, schema: Schema) -> str:
     rows = ["| key | unit | limits | default | meaning |", "| --- | --- | --- | --- | --- |"]
     for key, described in _map(schema["properties"]).items():
         described = _map(described)
-        meaning = Model.by_name[name].model_fields[key].description or "Which kind of object this is."
+        meaning = Model.by_name[name].model_fields[key].description or "Kind of the object."
         options = described.get("allOf")
-        limits = _limits(_map(options[0]) if isinstance(options, list) else _sound(described))
+        limits = _limits(_map(options[0]) if isinstance(options, list) else _without_null(described))
         default = _default(Model.by_name[name], key)
         rows.append(f"| `{key}` | {unit_of(key) or ''} | {limits} | {default} | {meaning} |")
     return "\n".join(rows)
@@ -170,20 +167,20 @@ def _keys(name: str, schema: Schema) -> str:
 
 
 FIT_LIMITS = {
-    "preparation": limits.PREPARATION_LIMITS,
-    "taps": limits.TAP_LIMITS,
-    "speed law": limits.SPEED_LAW_LIMITS,
-    "pulses": limits.WAVEFORM_LIMITS,
-    "ringing": limits.RINGING_LIMITS,
-    "spectral lines": limits.LINE_LIMITS,
-    "grooves": limits.GROOVE_LIMITS,
-    "textures": limits.TEXTURE_LIMITS,
-    "punctures": limits.PUNCTURE_LIMITS,
+    "preparation": fit_limits.PREPARATION_LIMITS,
+    "taps": fit_limits.TAP_LIMITS,
+    "speed law": fit_limits.SPEED_LAW_LIMITS,
+    "pulses": fit_limits.WAVEFORM_LIMITS,
+    "ringing": fit_limits.RINGING_LIMITS,
+    "spectral lines": fit_limits.LINE_LIMITS,
+    "grooves": fit_limits.GROOVE_LIMITS,
+    "textures": fit_limits.TEXTURE_LIMITS,
+    "punctures": fit_limits.PUNCTURE_LIMITS,
 }
 
 
 def fit(page: str) -> str:
-    """Return the page with the thresholds of all fits, and the limits from which on a value is a reason."""
+    """Return fit.md with the thresholds of all fits, and the limits of the verdicts."""
     for name, values in FIT_LIMITS.items():
         rows = [
             (f"`{each.name}`", f"{getattr(values, each.name):.6g}", each.metadata["unit"], each.metadata["reason"])
@@ -196,7 +193,7 @@ def fit(page: str) -> str:
 
 
 def protocol(page: str) -> str:
-    """Limits of connections and of bodies, and the version."""
+    """Return protocol.md with the limits of connections and messages, and the version of the protocol."""
     mib = 2**20
     page = block(
         page,

@@ -216,7 +216,7 @@ class Hid(Model):
     force_axes: ForceAxes = Field(default=ForceAxes(), description="Axes along which the device pushes.")
     signs: Literal["check", "trust"] = Field(
         default="check",
-        description="check: before the first force of the scene, soft pulses must move the handle in the right "
+        description="`check`: before the first force of the scene, soft pulses must move the handle in the right "
         "direction; `trust`: no pulses. By default `trust` if force_axes or report is given.",
     )
     effect_duration_s: float = Field(
@@ -229,7 +229,7 @@ class Hid(Model):
     )
     offload: Literal["off", "auto"] = Field(
         default="off",
-        description="auto: the device plays taps and ruptures, if that is more accurate than to stream them.",
+        description="`auto`: the device plays taps and ruptures if that is more accurate than streaming them.",
     )
     quirks: Annotated[tuple[Quirk, ...], Field(max_length=16, strict=False)] = Field(
         default=(), description="Deviations of this device from the specification."
