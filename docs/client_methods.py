@@ -1,7 +1,7 @@
-"""The methods of the clients for the page Python: an extension of Griffe, which mkdocs.yml names.
+"""An extension of Griffe for docs/reference/python.md: the methods of the blocking client. mkdocs.yml names this file.
 
-Griffe reads the code without running it. The blocking client's methods are made when its module is imported, of the
-coroutines in hapticd/client/methods.py; without this their signatures and docstrings would be missing.
+Griffe reads the code without running it. The blocking client's methods are made of the coroutines in
+hapticd/client/methods.py when their module is imported, so Griffe alone finds neither signatures nor docstrings.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 
 import griffe
 
-MADE_BY = ("_method(", "_block(", "_subscription(", "_like(")
-KINDS = {
+METHOD_MAKERS = ("_method(", "_block(", "_subscription(", "_like(")
+PARAMETER_KINDS = {
     inspect.Parameter.POSITIONAL_ONLY: griffe.ParameterKind.positional_only,
     inspect.Parameter.POSITIONAL_OR_KEYWORD: griffe.ParameterKind.positional_or_keyword,
     inspect.Parameter.VAR_POSITIONAL: griffe.ParameterKind.var_positional,
@@ -23,22 +23,22 @@ KINDS = {
 
 
 def annotation(given: object) -> str | None:
-    """As it is written in the code; None where there is none."""
+    """Return an annotation as text, as the code has it; None for a missing one."""
     if given is inspect.Signature.empty:
         return None
     return given if isinstance(given, str) else inspect.formatannotation(given)
 
 
 def parameter(given: inspect.Parameter) -> griffe.Parameter:
-    """Griffe's form of a parameter."""
+    """Return a parameter in the form of Griffe."""
     default = None if given.default is inspect.Parameter.empty else repr(given.default)
     return griffe.Parameter(
-        given.name, annotation=annotation(given.annotation), kind=KINDS[given.kind], default=default
+        given.name, annotation=annotation(given.annotation), kind=PARAMETER_KINDS[given.kind], default=default
     )
 
 
 class ClientMethods(griffe.Extension):
-    """Replaces attributes of a class that are methods once the module is imported."""
+    """Replaces attributes of a client's class by the methods that they become when the module is imported."""
 
     def on_class(self, *, cls: griffe.Class, **kwargs: Any) -> None:
         if not cls.path.startswith("hapticd.client.blocking."):
@@ -46,7 +46,7 @@ class ClientMethods(griffe.Extension):
         made = [
             each
             for each in cls.members.values()
-            if isinstance(each, griffe.Attribute) and str(each.value).startswith(MADE_BY)
+            if isinstance(each, griffe.Attribute) and str(each.value).startswith(METHOD_MAKERS)
         ]
         for attribute in made:
             runtime = getattr(importlib.import_module(cls.module.path), cls.name)

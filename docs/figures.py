@@ -1,6 +1,6 @@
-"""The drawings of docs/images that explain the workspace, walls, the proxy and gestures: `python -m docs.figures`.
+"""Draws the workspace, a wall, the proxy and gestures for docs/images: `python -m docs.figures`.
 
-Those of gestures show what the simulated joystick does, computed by `hapticd.simulate`.
+The curves of the gestures are computed by `hapticd.simulate`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ STYLE: Mapping[str, Any] = {
     "axes.spines.right": False,
 }
 RATE_HZ = 10_000
-"""Of the default configuration."""
+"""Servo rate of the default configuration."""
 Point = tuple[float, float]
 
 
@@ -54,7 +54,7 @@ def arrow(axes: Axes, begin: Point, end: Point, colour: str, width: float = 2.0)
 
 
 def bare(width: float, height: float, x: Point, y: Point) -> tuple[Figure, Axes]:
-    """A drawing to scale, without axes."""
+    """Return an empty drawing to scale, without axes; `x` and `y` are its ranges."""
     figure, axes = plt.subplots(figsize=(width, height))
     axes.set(xlim=x, ylim=y, aspect="equal")
     axes.axis("off")
@@ -62,7 +62,7 @@ def bare(width: float, height: float, x: Point, y: Point) -> tuple[Figure, Axes]
 
 
 def ground(axes: Axes, corners: Sequence[Point]) -> None:
-    """The inside of a solid."""
+    """Fill the inside of a solid."""
     axes.fill(*zip(*corners, strict=True), facecolor=SOLID, edgecolor="#cfd8dc", hatch="////", linewidth=0)
 
 
@@ -70,7 +70,7 @@ def ground(axes: Axes, corners: Sequence[Point]) -> None:
 
 
 def workspace() -> None:
-    """Axes, units, and what is drawn of a hand and of a wall."""
+    """Draw axes, units, a wall, the handle and a force."""
     figure, axes = plt.subplots(figsize=(7.2, 4.2))
     axes.set(
         xlim=(-0.065, 0.065),
@@ -94,7 +94,7 @@ def workspace() -> None:
 
 
 def wall() -> None:
-    """A wall's point and normal, its two sides, and where arc length begins."""
+    """Draw a wall's point, normal and sides, and the direction of the arc length."""
     figure, axes = bare(7.2, 3.7, (-4.3, 4.5), (-2.2, 2.4))
     along, normal = np.array([np.cos(0.3), np.sin(0.3)]), np.array([-np.sin(0.3), np.cos(0.3)])
     left, right = -4.2 * along, 4.4 * along
@@ -127,7 +127,7 @@ def wall() -> None:
 
 
 def proxy() -> None:
-    """The probe and the proxy, in the air and pressed in."""
+    """Draw the probe and the proxy, in the air and in a wall."""
     figure, axes = bare(7.2, 3.4, (-4.6, 4.6), (-2.0, 2.2))
     ground(axes, [(-4.5, 0), (4.5, 0), (4.5, -1.9), (-4.5, -1.9)])
     axes.plot([-4.5, 4.5], [0, 0], color=INK, lw=2.5)
@@ -167,7 +167,7 @@ GESTURES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
 
 
 def gestures() -> None:
-    """Where the handle goes, and the force that the hand feels meanwhile."""
+    """Draw position of the handle and force on the hand over time, for each gesture."""
     figure, grid = plt.subplots(2, 3, figsize=(10, 4.6), layout="constrained")
     for column, (title, (scene, gesture)) in enumerate(GESTURES.items()):
         path, force = grid[0, column], grid[1, column]
@@ -185,7 +185,7 @@ def gestures() -> None:
 
 
 def main() -> None:
-    """Draws all of them anew."""
+    """Draw all figures."""
     with matplotlib.rc_context(STYLE):
         for draw in (workspace, wall, proxy, gestures):
             draw()

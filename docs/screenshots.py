@@ -1,8 +1,8 @@
-"""The pictures of the page in docs/images, taken from the running page: `make screenshots`.
+"""Takes the pictures of the pages in docs/images in a browser: `make screenshots`.
 
-Each is taken light and dark, 1280 and 390 wide: the scene while the hand strokes the comb, the oscilloscope with a tap
-that its trigger caught, and the panel of materials. Of a session of an experiment both pages, and the top of a report,
-light.
+Of `hapticd web`: the scene while the hand strokes the comb, the oscilloscope after its trigger caught a tap, and the
+panel of materials; each in light and dark colours, 1280 and 390 pixels wide. Of an experiment, in light colours: both
+pages of a session, and the top of a report.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from tests.experiment.scripted_pages import Running, run_study
 from tests.web.browser import NARROW, WIDE, Pages, running_browser, running_demo
 
 IMAGES = Path(__file__).parent / "images"
-LARGEST = 200 << 10
-"""Bytes of a picture in all its colours; a larger one gets a palette."""
+MAX_FULL_COLOUR_BYTES = 200 << 10
+"""A larger picture gets a palette."""
 _STROKE = {"gesture": {"kind": "stroke", "object": "floor", "from_m": -0.039, "to_m": -0.016, "speed_m_per_s": 0.02,
                        "press_n": 0.8, "count": 50}}  # fmt: skip
 _TAP = {"gesture": {"kind": "tap", "object": "floor", "speed_m_per_s": 0.2, "count": 20}}
-_TOUCHES = "() => hapticd.model.state?.touching.includes('floor')"
+_IS_TOUCHING = "() => hapticd.model.state?.touching.includes('floor')"
 
 
 def save(picture: bytes, name: str) -> Path:
-    """As a PNG, with a palette where it would be large. A palette changes colours of small marks."""
+    """Write a PNG and return its path. A large picture gets a palette, which changes colours of small marks."""
     path = IMAGES / f"{name}.png"
     IMAGES.mkdir(exist_ok=True)
     image = Image.open(io.BytesIO(picture)).convert("RGB")
     image.save(path, optimize=True)
-    if path.stat().st_size > LARGEST:
+    if path.stat().st_size > MAX_FULL_COLOUR_BYTES:
         image.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
     return path
 
 
 def operate(page: Page, params: dict[str, object]) -> None:
     page.evaluate("(params) => hapticd.link.call('set_operator', params)", params)
-    page.wait_for_function(_TOUCHES)
+    page.wait_for_function(_IS_TOUCHING)
 
 
 def take(page: Page, part: str, width: int) -> bytes:
-    """The whole window where it is wide and the part is the scene; else the part alone."""
+    """Return a picture of a part of the page; for the scene in a wide window, of the complete window."""
     if part == "scene" and width == WIDE["width"]:
         return page.screenshot()
     element = {"scene": "#scene-view", "scope": "#scope", "materials": ".panels"}[part]
@@ -57,7 +57,7 @@ def take(page: Page, part: str, width: int) -> bytes:
 
 
 def take_all(page: Page) -> list[Path]:
-    """Every picture, of a page that is ready."""
+    """Take all pictures of the loaded page, and return their paths."""
     taken: list[Path] = []
     page.evaluate("() => hapticd.tabs.show('materials-panel')")
     for part, params in (("scene", _STROKE), ("scope", _TAP), ("materials", _STROKE)):
@@ -70,7 +70,7 @@ def take_all(page: Page) -> list[Path]:
             page.set_viewport_size(size)  # type: ignore[arg-type]
             for scheme in ("light", "dark"):
                 page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
-                # Two frames: canvases are drawn again in the one after the change.
+                # Canvases are drawn again in the frame after the change.
                 page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
                 narrow = "" if size is WIDE else f"-{size['width']}"
                 taken.append(save(take(page, part, size["width"]), f"web-{part}-{scheme}{narrow}"))
@@ -78,7 +78,7 @@ def take_all(page: Page) -> list[Path]:
 
 
 def take_session(browser: Browser, folder: Path) -> list[Path]:
-    """The participant's page in a trial, and the experimenter's after some answers."""
+    """Take the participant's page during a trial and the experimenter's page; return the paths."""
     running = Running(*run_study(folder, "okamura1998_tapping", "--demo"))
     session = Session(browser, running)
     try:
@@ -99,7 +99,7 @@ def take_session(browser: Browser, folder: Path) -> list[Path]:
 
 
 def take_report(browser: Browser, folder: Path) -> Path:
-    """The top of a report: four simulated participants beside the paper's."""
+    """Take the top of a report of four simulated participants and those of the paper; return the path."""
     people = [word for name in "ABCD" for word in ("--participant", f"simulated:{name}")]
     data, report = folder / "simulated", folder / "simulated.html"
     for words in (

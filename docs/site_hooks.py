@@ -1,8 +1,8 @@
-"""What mkdocs does not do of itself; mkdocs.yml names this file.
+"""Hooks of mkdocs that make pages of the site from the files of the repository; mkdocs.yml names this file.
 
-In the tree a page may link a file of the code. The site has no such file, so there the link is its text alone.
-CHANGELOG.md is a page of the site. Lists are CommonMark's, where Python-Markdown asks for an empty line before a list
-and for four columns before what belongs to an item.
+A link to a file that the site does not have, such as a file of the code, becomes text. CHANGELOG.md becomes a page.
+Lists of CommonMark become lists of Python-Markdown, which needs an empty line before a list and an indentation of four
+columns for each level.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def inside(markdown: str, page: Path) -> str:
-    """The text of a page of docs/, with links to files outside docs/ as their text."""
+    """Return the text of a page of docs/ in which links to files outside docs/ are replaced by their text."""
 
     def replaced(link: re.Match[str]) -> str:
         text, target = link[1], link[2]
@@ -35,7 +35,7 @@ def inside(markdown: str, page: Path) -> str:
 
 
 def for_python_markdown(markdown: str) -> str:
-    """Lists with an empty line before them, and with four columns for each level."""
+    """Return the text with an empty line before each list, and an indentation of four columns for each level."""
     lines = markdown.split("\n")
     depth, width = [0] * len(lines), [0] * len(lines)
     begins: set[int] = set()
@@ -65,17 +65,17 @@ def for_python_markdown(markdown: str) -> str:
 
 
 def changelog(text: str) -> str:
-    """CHANGELOG.md, whose links begin in the root of the tree, as a page of docs/."""
+    """Return CHANGELOG.md as a page of docs/: its links begin in the root of the repository."""
     return text.replace("](docs/", "](")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the page of changes."""
+    """Add CHANGELOG.md to the pages of the site."""
     text = CHANGES.read_text(encoding="utf-8")
     files.append(File.generated(config, "changelog.md", content=changelog(text)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Runs on every page before it becomes HTML."""
+    """Return the text of a page as Python-Markdown needs it; mkdocs calls this before it makes HTML."""
     return for_python_markdown(inside(markdown, DOCS / page.file.src_uri))
