@@ -193,8 +193,8 @@ def _errors(client: Any, tell: Callable[[float], None]) -> list[str | Table]:
     worst = [row["full"] for row in found]
     reached = sum(error <= GOAL for error in worst)
     tables.append(
-        f"Largest error with `full`: {100 * max(worst):.1f} % (aim: at most {100 * AIM:g} %, reached: "
-        f"{verdict(max(worst), AIM)}). {reached} of {len(worst)} errors are at most {100 * GOAL:g} %."
+        f"Worst with `full`: {100 * max(worst):.1f} %; at most {100 * AIM:g} %: {verdict(max(worst), AIM)}. "
+        f"{reached} of {len(worst)} reach the aim of {100 * GOAL:g} %."
     )
     return tables
 
