@@ -552,7 +552,7 @@ class Methods:
 
     def _off_because(self, faults: Fault) -> str:
         signs = self._engine.counters().signs
-        words = FAULT_REASONS | ({"signs": signs.seen} if signs.seen else {})
+        words = FAULT_REASONS | ({"signs": signs.problem_text} if signs.problem_text else {})
         reasons = " and ".join(words[name] for name in fault_names(faults))
         if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
             return f"forces are off because {reasons}: {SIGNS_REMEDY}"

@@ -10,7 +10,7 @@ from typing import Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs, Verdict, fail, ok, warn
 from hapticd.hid.device_texts import unseen_reset_text
-from hapticd.hid.discovery import Found, event_nodes, is_open_to_others, is_selected
+from hapticd.hid.discovery import SysfsDevice, event_nodes, is_open_to_others, is_selected
 
 _UDEV_RULE_FILE: Final = "70-hapticd.rules"
 _UDEV_RULE_FOLDERS: Final = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
@@ -18,13 +18,13 @@ _MAX_LISTED_NAMES: Final = 4
 """A line of output lists at most this many programs or event nodes."""
 
 
-def _evaluated_devices(machine: Machine, needs: Needs) -> list[Found]:
+def _evaluated_devices(machine: Machine, needs: Needs) -> list[SysfsDevice]:
     """Return the HID devices, each with its verdict for the configured joystick if `needs` has one."""
     devices = machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
     return devices if needs.device is None else [device.evaluated_by(needs.device) for device in devices]
 
 
-def _drivable_devices(machine: Machine, needs: Needs) -> list[Found]:
+def _drivable_devices(machine: Machine, needs: Needs) -> list[SysfsDevice]:
     return [device for device in _evaluated_devices(machine, needs) if device.usable]
 
 
@@ -60,12 +60,12 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
             yield Finding("joystick", verdict, f"this user may not drive {name}", todo)
 
 
-def _node_path(device: Found) -> str:
+def _node_path(device: SysfsDevice) -> str:
     """Return the path of the device's node as it is on the machine, without the root folder of a test."""
     return f"/dev/{Path(device.path).name}"
 
 
-def _service_may_open(machine: Machine, device: Found) -> bool:
+def _service_may_open(machine: Machine, device: SysfsDevice) -> bool:
     """Return whether the service is installed and may open the device as a member of the group `input`."""
     try:
         status = os.stat(device.path)

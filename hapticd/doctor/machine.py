@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from hapticd.base.errors import HapticdError
-from hapticd.hid.discovery import Found, find
+from hapticd.hid.discovery import SysfsDevice, find
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
@@ -132,7 +132,7 @@ class Machine:
     version: str = ""
     """The version of the installed package."""
     may_write: Callable[[Path], bool] = lambda path: os.access(path, os.W_OK)
-    find: Callable[[Path, Path], list[Found]] = find
+    find: Callable[[Path, Path], list[SysfsDevice]] = find
     """Lists HID devices, given the folders /sys/class/hidraw and /dev."""
 
     def path(self, name: str) -> Path:

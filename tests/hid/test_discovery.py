@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hapticd.config.hid import Hid
-from hapticd.hid.discovery import Found, choose, find
+from hapticd.hid.discovery import SysfsDevice, choose, find
 from hapticd.hid.plan import DeviceError
 from tests.support.hid_descriptors import (
     APPLICATION,
@@ -64,10 +64,10 @@ class Machine:
         (entry / "device").symlink_to(device)
         (self.dev / f"hidraw{number}").touch()
 
-    def find(self) -> list[Found]:
+    def find(self) -> list[SysfsDevice]:
         return find(self.sysfs, self.dev)
 
-    def choose(self, **keys: Any) -> Found:
+    def choose(self, **keys: Any) -> SysfsDevice:
         return choose(Hid.model_validate(keys), self.find())
 
     def refusal(self, **keys: Any) -> str:

@@ -27,7 +27,7 @@ from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.drivers.pid_plan import periodic_of
 from hapticd.hid.nearest_effect import MAX_EFFECT_S, NearestEffect, nearest_effect, streamed_error
 from hapticd.hid.offload import Offload, effect_messages
-from hapticd.hid.plan import DeviceError, Message, Numbers, Periodic, Plan
+from hapticd.hid.plan import DeviceError, Message, Periodic, PeriodicScales, Plan
 from hapticd.protocol.changes import Played
 from tests.hid.test_connection import FULL_N, World, pressed
 from tests.hid.test_connection import world as world
@@ -54,8 +54,8 @@ def periodic(like: Joystick, count: int = 8, **keys: Any) -> Periodic:
     return periodic_of(layout, Hid.model_validate({"offload": "auto", **keys}), range(3, 3 + count))
 
 
-def numbers(like: Joystick) -> Numbers:
-    return periodic(like).numbers
+def scales(like: Joystick) -> PeriodicScales:
+    return periodic(like).scales
 
 
 def wanted(mode: Mode, time_s: Floats) -> Floats:
@@ -104,7 +104,7 @@ def test_no_effect_of_whole_milliseconds_is_nearer(name: str) -> None:
                 lines[:, time_s > end * 1e-3] = 0.0
                 _, left = nnls((lines * sine).T, target)
                 best = min(best, left / math.sqrt(target @ target))
-    found = nearest_effect(mode, numbers(replace(Joystick(), level=10000)))
+    found = nearest_effect(mode, scales(replace(Joystick(), level=10000)))
     assert found is not None
     assert found.error == pytest.approx(best, abs=0.002)
 
@@ -113,7 +113,7 @@ def test_no_effect_of_whole_milliseconds_is_nearer(name: str) -> None:
 @pytest.mark.parametrize("exponent", [-3, -4, -5])
 def test_the_error_is_that_of_the_effect(name: str, exponent: int) -> None:
     mode = mode_of(name)
-    found = nearest_effect(mode, numbers(Joystick(time_exponent=exponent, level=10000)))
+    found = nearest_effect(mode, scales(Joystick(time_exponent=exponent, level=10000)))
     assert found is not None
     time_s = np.linspace(0.0, max(12 * mode.decay_time_s, found.duration_s), 200_001)
     assert distance(mode, played(found, 10.0**exponent, time_s), time_s) == pytest.approx(found.error, abs=0.005)
@@ -124,7 +124,7 @@ def test_the_error_is_that_of_the_effect(name: str, exponent: int) -> None:
 
 @pytest.mark.parametrize("name", METALS)
 def test_metals_need_tenths_of_a_millisecond(name: str) -> None:
-    fine, coarse = (nearest_effect(mode_of(name), numbers(Joystick(time_exponent=exponent))) for exponent in (-4, -3))
+    fine, coarse = (nearest_effect(mode_of(name), scales(Joystick(time_exponent=exponent))) for exponent in (-4, -3))
     assert fine is not None and coarse is not None
     assert 0.05 < fine.error < 0.115
     assert coarse.error > 0.5
@@ -133,7 +133,7 @@ def test_metals_need_tenths_of_a_millisecond(name: str) -> None:
 def test_levels_are_those_that_the_device_has() -> None:
     """Two counts for a level: what is reported is what two counts give."""
     mode = mode_of("wood")
-    found = nearest_effect(mode, numbers(Joystick(level=2)))
+    found = nearest_effect(mode, scales(Joystick(level=2)))
     assert found is not None
     ratios = {round(2 * level / found.peak, 9) for level in (found.attack_level, found.magnitude, found.fade_level)}
     assert ratios <= {0.0, 1.0, 2.0}
@@ -142,7 +142,7 @@ def test_levels_are_those_that_the_device_has() -> None:
 
 
 def test_no_effect_is_longer_than_a_tenth_of_a_second() -> None:
-    slow = nearest_effect(Mode(decay_rate_per_s=1.0, angular_frequency_rad_per_s=300.0), numbers(Joystick()))
+    slow = nearest_effect(Mode(decay_rate_per_s=1.0, angular_frequency_rad_per_s=300.0), scales(Joystick()))
     assert slow is not None and slow.duration_s <= MAX_EFFECT_S
     # What is left of the mode after the tenth: exp(-2 * 0.1) of its power.
     assert slow.error >= math.exp(-0.1) - 0.01
@@ -153,7 +153,7 @@ def test_extreme_modes_and_devices() -> None:
     for decay in (0.1, 1.0, 1e3, 1e6):
         for angular in (0.05, 1e3, 1e6):
             for like in (Joystick(), Joystick(time_exponent=-6), Joystick(time_exponent=0, level=1)):
-                found = nearest_effect(Mode(decay, angular), numbers(like))
+                found = nearest_effect(Mode(decay, angular), scales(like))
                 assert found is None or (0.0 <= found.error <= 1.0 + 1e-9 and found.duration_s <= MAX_EFFECT_S)
 
 
@@ -204,7 +204,7 @@ def test_what_the_device_shows_is_the_mode(name: str, angle: float, part: float)
     like, mode = DEVICES[name], mode_of("wood")
     stick = FakePid.__new__(FakePid)
     stick.layout = layout_of(parse(bytes(like)))
-    found = nearest_effect(mode, numbers(like))
+    found = nearest_effect(mode, scales(like))
     assert found is not None
     force = part * FULL_N
     size = min(force, FULL_N / found.peak * 0.999)
@@ -394,7 +394,7 @@ def ringing(world: World) -> World:
 
 def near(stick: FakePid, strike: Strike, coefficient_n: float, direction: tuple[float, float]) -> bool:
     """Whether a strike is the mode with this coefficient, within what is reported of it."""
-    found = nearest_effect(MODE, numbers(FINE))
+    found = nearest_effect(MODE, scales(FINE))
     assert found is not None
     time_s = np.linspace(0.0, 12 * MODE.decay_time_s, 20_001)
     along = FULL_N * stick.shown(strike, time_s) @ np.array(direction)
@@ -442,7 +442,7 @@ def test_play_is_left_to_the_device(ringing: World) -> None:
 
 
 def fit_hz() -> float:
-    found = nearest_effect(MODE, numbers(FINE))
+    found = nearest_effect(MODE, scales(FINE))
     assert found is not None
     return found.frequency_hz
 
@@ -545,7 +545,7 @@ def test_status_says_what_is_offloaded_and_what_is_not(ringing: World) -> None:
     status = Methods(engine).status()
     outcomes = {entry["material"]: entry for entry in status["offload"]}  # type: ignore[attr-defined]
     assert outcomes.keys() == {"ringing", "glass"}
-    found = nearest_effect(MODE, numbers(FINE))
+    found = nearest_effect(MODE, scales(FINE))
     assert found is not None
     assert outcomes["ringing"] == {
         "material": "ringing",

@@ -307,7 +307,7 @@ def test_a_strike_is_the_mode_along_its_direction(name: str) -> None:
     way = (0.6, -0.8)
     with driven(*FAMILIES[name], offload="auto") as (stick, plan):
         assert plan.periodic is not None, plan.no_periodic
-        shape = nearest_effect(mode, plan.periodic.numbers)
+        shape = nearest_effect(mode, plan.periodic.scales)
         assert shape is not None
         size_n = 0.8 * FULL_N / shape.peak
         stick.now = 1.0

@@ -109,7 +109,7 @@ def test_what_a_stranger_uploads_ends_in_time(kind: str, keys: dict[str, Any], r
     with Firmware(*KINDS[kind]) as stick:
         plan = set_up(stick, **keys)
         plan = plan_paced_for_link(plan, 1.0 / (report_s * len(plan.force)) if report_s else None)
-        assert plan.foreign_s is not None and plan.foreign_s <= MAX_FOREIGN_EFFECT_S + 1e-9
+        assert plan.foreign_effect_s is not None and plan.foreign_effect_s <= MAX_FOREIGN_EFFECT_S + 1e-9
         writer = Writer(stick, plan, report_s)
         wanted = wobbling((4.0, -2.5))
         ours: tuple[float, float] | None = None
@@ -177,7 +177,9 @@ def test_restoring_takes_a_third_of_a_slow_link_at_most_and_says_how_long_it_tak
         # Direction and envelope of two effects, and the gain of the device.
         assert len(plan.restore) == 5
         plan = plan_paced_for_link(plan, 1.0 / (report_s * len(plan.force)))
-        assert plan.foreign_s is not None and (plan.foreign_s <= MAX_FOREIGN_EFFECT_S + 1e-9) == (report_s <= 4e-3)
+        assert plan.foreign_effect_s is not None and (plan.foreign_effect_s <= MAX_FOREIGN_EFFECT_S + 1e-9) == (
+            report_s <= 4e-3
+        )
         writer = Writer(stick, plan, report_s)
         wanted = wobbling((4.0, -2.5))
         begun, longest, since, turns = writer.now, 0.0, writer.now, 0
@@ -186,7 +188,7 @@ def test_restoring_takes_a_third_of_a_slow_link_at_most_and_says_how_long_it_tak
             if writer.restored // len(plan.restore) > turns:
                 turns = writer.restored // len(plan.restore)
                 longest, since = max(longest, writer.now - since), writer.now
-        assert turns > 3 and longest <= plan.foreign_s + 1e-9
+        assert turns > 3 and longest <= plan.foreign_effect_s + 1e-9
         assert writer.restored <= MAX_RESTORE_SHARE * (writer.now - begun) / report_s + 1
         # The effects are started again before they end, however slow the link is.
         starts = [t_s for t_s, _, data in stick.reports if data[:1] == plan.renew[0].data[:1]]
@@ -197,7 +199,7 @@ def test_a_plan_without_effects_is_left_as_it_is() -> None:
     with Firmware(FINO_DESCRIPTOR, FINO) as stick:
         plan = set_up(stick)
         other = Plan(x=plan.x, y=plan.y, force=plan.force, renew=plan.renew, stop=plan.stop)
-        assert plan_paced_for_link(other, 100.0) == other and other.foreign_s is None
+        assert plan_paced_for_link(other, 100.0) == other and other.foreign_effect_s is None
 
 
 # ---- The core's own writer -------------------------------------------------------------------------------------------

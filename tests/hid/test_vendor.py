@@ -129,7 +129,7 @@ def test_forces(force_n: tuple[float, float], x: int, y: int) -> None:
 def test_a_number_lies_where_its_bits_are() -> None:
     plan = plan_of(hid(REPORT), hid(REPORT).report or pytest.fail())
     for bits in (each.bits for each in plan.force[0].values):
-        for counts in (bits.least, -1 if bits.signed else 1, 0, 1, 1000, bits.most):
+        for counts in (bits.min_counts, -1 if bits.signed else 1, 0, 1, 1000, bits.max_counts):
             report = bytearray(b"\xa5" * 7)
             bits.put(report, counts)
             order: Literal["big", "little"] = "big" if bits.big_endian else "little"
@@ -140,7 +140,7 @@ def test_a_number_lies_where_its_bits_are() -> None:
             bits.put(report, bits.get(b"\xa5" * 7))
             assert report == b"\xa5" * 7, "what lies beside it stays"
         with pytest.raises(ValueError):
-            bits.put(bytearray(7), bits.most + 1)
+            bits.put(bytearray(7), bits.max_counts + 1)
         with pytest.raises(ValueError):
             bits.put(bytearray(2), 0)
 

@@ -18,7 +18,7 @@ from hapticd.doctor.machine import Machine, Needs
 from hapticd.hid import discovery, sources
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
-from hapticd.hid.discovery import Found
+from hapticd.hid.discovery import SysfsDevice
 from hapticd.hid.drivers.pid_plan import periodic_problem
 from hapticd.hid.plan import DeviceError
 from hapticd.hid.replay import Recording, save
@@ -195,8 +195,8 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
 }
 
 
-def plugged(descriptor: bytes) -> Found:
-    return Found("/dev/hidraw0", "Stick", 1, 2, "", "USB", "", descriptor, 1e-3, 1e-3, "ok")
+def plugged(descriptor: bytes) -> SysfsDevice:
+    return SysfsDevice("/dev/hidraw0", "Stick", 1, 2, "", "USB", "", descriptor, 1e-3, 1e-3, "ok")
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -1,4 +1,4 @@
-"""Set-up of devices of the PID class. pid_plan.py plans what is sent after it, pid_reports.py encodes reports.
+"""Set-up of devices of the PID class. pid_plan.py plans what is sent after a set-up, pid_reports.py encodes reports.
 
 A set-up resets the device, enables its actuators, sets its gain, creates the effects, and starts them with a force of
 zero.
@@ -110,7 +110,7 @@ class PidDriver:
     def _effects_in_pool(self, device: Device) -> int | None:
         """Return how many effects the device plays at a time; None if this is not known, or if hapticd needs only one.
 
-        The pool must be read before the first effect is created.
+        This reads PID Pool, which must happen before the first effect is created.
         """
         pool = None if "no_pid_pool" in self._hid.quirks else self._layout.pool
         several = len(effects_of(self._schemes[0], self._hid)) > 1

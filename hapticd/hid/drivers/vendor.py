@@ -47,7 +47,7 @@ def plan_of(hid: Hid, report: VendorReport) -> Plan:
     into, out = report.input, report.output
     data = bytes([out.report_id]) + bytes(out.length)
     values = [
-        Value(bits, quantity, axis.counts_per_n, axis.zero_counts, bits.least, bits.most)
+        Value(bits, quantity, axis.counts_per_n, axis.zero_counts, bits.min_counts, bits.max_counts)
         for axis, quantity in ((out.x, HidQuantity.X), (out.y, HidQuantity.Y))
         if axis is not None
         for bits in [_bits(axis)]
