@@ -389,7 +389,9 @@ class Methods:
     def _log_reload(self, level: int, line: str) -> None:
         """Log the outcome of a reload, at most one line a second: a client may request hundreds."""
         self.repeats.note(
-            f"reload {level}", lambda since: _log.log(level, "%s%s", line, since.more), longest_s=MIN_REPEAT_INTERVAL_S
+            f"reload {level}",
+            lambda since: _log.log(level, "%s%s", line, since.more),
+            max_interval_s=MIN_REPEAT_INTERVAL_S,
         )
 
     def _dump_flight(self, _: NoParams) -> dict[str, object]:

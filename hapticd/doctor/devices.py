@@ -61,7 +61,7 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def _node_path(device: SysfsDevice) -> str:
-    """Return the path of the device's node as it is on the machine, without the root folder of a test."""
+    """Return the path of the device's node on the machine, without the root folder of the checks."""
     return f"/dev/{Path(device.path).name}"
 
 
@@ -113,7 +113,7 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def _node_users(machine: Machine) -> tuple[dict[str, set[str]], int]:
-    """Return the names of other programs' processes by the file they have open, and how many could not be read."""
+    """Return the names of other programs' processes by the path of an open file, and the number of hidden processes."""
     users: dict[str, set[str]] = {}
     hidden = 0
     for pid in machine.names("/proc", r"\d+"):
@@ -135,6 +135,6 @@ def _node_users(machine: Machine) -> tuple[dict[str, set[str]], int]:
 
 
 def _kernel_offers_effects(machine: Machine, inputs: str) -> bool:
-    """Return whether the kernel's own driver offers effects (EV_FF) of the device to other programs."""
+    """Return whether the kernel's driver offers effects (EV_FF) to other programs; `inputs` is the device's folder."""
     masks = [machine.text(f"{inputs}/{entry}/capabilities/ff") for entry in machine.names(inputs, r"input\d+")]
     return any(mask and mask.replace(" ", "").strip("0") for mask in masks)
