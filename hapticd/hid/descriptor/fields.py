@@ -80,8 +80,8 @@ class Field:
     def counts_at_north(self) -> float:
         """Return the count for an angle of zero, for a field that holds a direction.
 
-        If the physical range is within 10 % of one turn in its unit, or of 360 times a power of ten, the result is the
-        count whose physical value is zero, otherwise the count of the range that is nearest to zero.
+        If the physical range is within 10 % of one turn in its unit, or of 360 times a power of ten, this is the count
+        whose physical value is zero. Otherwise it is the count nearest to zero.
         """
         span = self.physical_max - self.physical_min
         is_turn = self._turns() is not None or any(0.9 <= span / (360.0 * 10**tens) <= 1.1 for tens in range(5))
@@ -147,9 +147,9 @@ def angle_fault(field: Field) -> str | None:
 
 
 def duration_fault(field: Field, step_s: float, duration_s: float, wanted_s: float) -> str | None:
-    """Return why an effect cannot have `duration_s`, the nearest duration to `wanted_s`; None if it can.
+    """Return why an effect cannot have the duration `duration_s`, the nearest to `wanted_s`; None if it can.
 
-    `field` holds the duration; `step_s` is the time of one of its counts.
+    `field` holds the duration in counts of `step_s`.
     """
     range_s = f"Set Effect: Duration goes from {field.logical_min} to {field.logical_max} in counts of {step_s:g} s"
     if duration_s < MIN_EFFECT_DURATION_S:

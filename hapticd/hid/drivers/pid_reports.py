@@ -49,7 +49,7 @@ def enabled_for(effect: SetEffect, axes: HandleAxes, axis: Literal["x", "y"]) ->
 
 
 def counts_of(angle: Field, turns: float) -> float:
-    """Return the counts of a direction given in turns, from the field's minimum to less than one turn above it."""
+    """Return the counts of a direction in turns, from the field's minimum to less than one turn above the minimum."""
     per_turn = angle.counts_per_turn()
     if per_turn <= 0.0:
         return angle.logical_min
@@ -87,7 +87,7 @@ def force_factors(angle: Field, x_turns: float, y_turns: float) -> list[tuple[fl
 
 
 def leak_share(angle: Field) -> float:
-    """Return the largest fraction of a force that acts at right angles to it, if its direction is half a count off."""
+    """Return the fraction of a force that acts at right angles to the force, if its direction is half a count off."""
     per_turn = angle.counts_per_turn()
     return math.sin(math.pi / per_turn) if per_turn > 2.0 else 1.0
 
@@ -309,7 +309,7 @@ def envelope_report(fields: SetEnvelope, index: int) -> bytes:
 
 
 def shared_report_problem(layout: Layout, *, with_periodic: bool = False) -> str | None:
-    """Return an error if output reports share an id, so that sending one sets the others to zero; else None.
+    """Return the error text if output reports share an id, so that sending one sets the others to zero; else None.
 
     `with_periodic` includes the report Set Periodic.
     """
@@ -350,5 +350,5 @@ def level_scale(field: Field, hid: Hid) -> Scale:
 
 
 def bits_of(field: Field) -> Bits:
-    """Return where a field is in its report: its offset, its size, and whether it is signed."""
+    """Return the place of a field in its report: its offset, its size, and whether it is signed."""
     return Bits(field.bit_offset, field.bit_size, field.is_signed)

@@ -10,7 +10,7 @@ from hapticd.hid.plan import STILL_AXIS_M_PER_COUNT, AxisPlan, Bits, DeviceError
 
 
 class VendorDriver:
-    """Driver that sends the configured reports that enable a device, and makes the plan of its reports."""
+    """Driver of a device with vendor reports: sends the configured reports that enable it, and makes the plan."""
 
     def __init__(self, hid: Hid, descriptor: bytes) -> None:
         """Create a driver, and compare the configuration with the device's report descriptor.
