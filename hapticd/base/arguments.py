@@ -73,7 +73,7 @@ def numbers(name: str, value: object) -> list[float]:
 
 
 def rows(name: str, value: object) -> list[list[float]]:
-    """Check that a value has lists of numbers or is a 2-D array, and return it as lists. Raises InvalidError."""
+    """Check that a value is a list of lists of numbers or a 2-D array, and return it as lists. Raises InvalidError."""
     return [numbers(f"{name}[{place}]", each) for place, each in enumerate(_items(name, value, "lists of numbers"))]
 
 

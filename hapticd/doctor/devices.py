@@ -135,6 +135,6 @@ def _node_users(machine: Machine) -> tuple[dict[str, set[str]], int]:
 
 
 def _kernel_offers_effects(machine: Machine, inputs: str) -> bool:
-    """Return whether the kernel's driver offers effects (EV_FF) to other programs; `inputs` is the device's folder."""
+    """Return whether the kernel offers a device's effects (EV_FF); `inputs` is the device's folder `input` in sysfs."""
     masks = [machine.text(f"{inputs}/{entry}/capabilities/ff") for entry in machine.names(inputs, r"input\d+")]
     return any(mask and mask.replace(" ", "").strip("0") for mask in masks)

@@ -65,7 +65,7 @@ class Driver(Protocol):
 
 
 def arrived_reports(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
-    """Yield the input reports that arrive at the file descriptor of a device within `within_s`, or those queued if 0.
+    """Yield the input reports of a device that arrive within `within_s`; 0 yields those that are already queued.
 
     Raises DeviceError if the device is gone.
     """

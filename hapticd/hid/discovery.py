@@ -68,7 +68,7 @@ class SysfsDevice:
 
     @property
     def resets_seen(self) -> bool | None:
-        """Whether the descriptor has a PID State report: which effects play, and so a reset by another program.
+        """Whether the descriptor has a report (PID State) by which a reset by another program would be noticed.
 
         None if the device cannot be driven, or has no effects (vendor reports). Some devices never send this report.
         """
@@ -110,7 +110,7 @@ class SysfsDevice:
 
 
 def find(sysfs: Path = HIDRAW_SYSFS, dev: Path = DEV_FOLDER) -> list[SysfsDevice]:
-    """Return all hidraw devices, in the order of their numbers, except one that is unplugged meanwhile."""
+    """Return all hidraw devices, in the order of their numbers, except those that are unplugged meanwhile."""
     try:
         names = [name for name in os.listdir(sysfs) if re.fullmatch(r"hidraw\d+", name)]
     except OSError:

@@ -203,12 +203,12 @@ def _non_negative_levels(gram: _Floats, product: _Floats) -> _Floats:
 
 
 def _rounded_levels(levels: _Floats, scales: PeriodicScales) -> _Floats:
-    """Return the levels, those of a mode of 1 N, with the relative rounding of the strongest strike that fits."""
+    """Return the levels, for a mode of 1 N, as rounded at the largest amplitude that the fields can hold."""
     full_n = max_coefficient_n(float(levels.max()), scales)
     shown = [scale.quantity(scale.counts(level * full_n)) for scale, level in zip(scales.levels, levels, strict=True)]
     return np.array(shown) / full_n
 
 
 def max_coefficient_n(peak: float, scales: PeriodicScales) -> float:
-    """Return the largest amplitude of a mode, in N, of which every level field can hold the `peak`-fold."""
+    """Return the largest amplitude of a mode, in N, for which `peak` times the amplitude fits every level field."""
     return min(scale.max_quantity for scale in scales.levels) / max(peak, 1e-9)

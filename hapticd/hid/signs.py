@@ -36,7 +36,7 @@ _log = logging.getLogger("hapticd")
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """Parameters of the check of one device's signs: the members of C's `struct hd_hid_signs`."""
+    """Parameters of the check whether one device's forces push the right way, as C's `struct hd_hid_signs`."""
 
     number: int
     """Number of the device, from 1; each device is checked once."""
@@ -51,7 +51,7 @@ class Signs:
 
 
 class Check:
-    """Provides, for each connected device, the parameters of the check of its signs."""
+    """Provides, for each connected device, the parameters of the check whether its forces push the right way."""
 
     def __init__(self, travel_m: float, full_scale_force_n: float) -> None:
         """Use half the handle's travel, `travel_m`, and the device's largest force, `full_scale_force_n`."""
@@ -74,7 +74,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class SignsStatus:
-    """The state of the check of signs, as the servo reports it."""
+    """The state of the check whether forces push the right way, as the servo reports it."""
 
     state: SignsState
     problem: SignsProblem
@@ -124,7 +124,7 @@ class SignsStatus:
 
 
 class SignsLog:
-    """Logs the result of the check of signs, or what prevents the check, whenever it changes."""
+    """Logs, after each change, the result of the check whether forces push the right way, or what prevents it."""
 
     def __init__(self) -> None:
         self._last: SignsStatus | None = None

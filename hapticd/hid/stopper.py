@@ -154,8 +154,8 @@ def stop_device(
 ) -> str | None:
     """Send the reports of the record at `path`, remove the record, and return what was done, in one line.
 
-    Returns None if no record exists. `open_node`, if given, opens the node without a check of its identity; `write`
-    writes a report. Raises HapticdError if the device may still push.
+    Returns None if no record exists. `open_node`, if given, opens the node without a check of the device's identity;
+    `write` writes a report. Raises HapticdError if the device may still push.
     """
     record = load(path)
     if record is None:
@@ -212,7 +212,7 @@ def _check_identity(record: Record, found: Identity | None) -> None:
 
 
 def _lock(fd: int, what: str, until_s: float) -> None:
-    """Lock the device once a killed daemon's lock has ended. Raises HapticdError if that lasts beyond `until_s`."""
+    """Lock the device once a killed daemon's lock has ended. Raises HapticdError if the lock lasts beyond `until_s`."""
     while True:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -226,8 +226,8 @@ def _lock(fd: int, what: str, until_s: float) -> None:
 def _send(fd: int, record: Record, what: str, until_s: float, write: Callable[[int, bytes], int]) -> list[str]:
     """Write all reports of the record, and return a text for each report that the device refused.
 
-    Either all reports for a force of zero or all that stop the effects must be accepted until `until_s`; raises
-    HapticdError otherwise, _DeviceAbsentError if the device is gone. A thread writes, because a write may hang.
+    Raises HapticdError unless the device accepts, before `until_s`, all reports for a force of zero or all that stop its
+    effects; _DeviceAbsentError if the device is gone. A separate thread writes, because a write may hang.
     """
     reports = [*record.zero, *record.stop]
     pause_s = min(record.pause_s, STOP_DEADLINE_S / 2.0 / len(reports)) if reports else 0.0

@@ -153,7 +153,7 @@ class Owned:
     def listen(self, path: Path) -> socket.socket:
         """Return a socket that listens at `path`; a socket that a killed daemon left there is replaced.
 
-        Raises HapticdError if it cannot be bound.
+        Raises HapticdError if the socket cannot be bound.
         """
         own = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
         try:
@@ -180,7 +180,7 @@ class Owned:
             return False
 
     def check(self) -> None:
-        """Log once, for each of the daemon's files, if it was removed or replaced; checks at most once a second."""
+        """Log each of the daemon's files that was removed or replaced, once; does nothing within 1 s of a check."""
         if time.monotonic() < self._due_s:
             return
         self._due_s = time.monotonic() + _OWNERSHIP_CHECK_INTERVAL_S

@@ -86,7 +86,7 @@ class Repeats:
         self._kinds: dict[str, _Kind] = {}
 
     def line(self, kind: str, level: int, text: str, max_interval_s: float = MAX_REPEAT_INTERVAL_S) -> None:
-        """Log `text` now, or later with the number of lines of its kind, unless a newer text replaces it until then."""
+        """Log `text` now, or later with the number of lines of its kind, unless a newer text replaces it before."""
         self.note(kind, lambda since: _log.log(level, "%s%s", text, since.more), max_interval_s=max_interval_s)
 
     def note(
@@ -96,7 +96,7 @@ class Repeats:
         amounts: Mapping[str, int] | None = None,
         max_interval_s: float = MAX_REPEAT_INTERVAL_S,
     ) -> None:
-        """Call `log` now, or later with the sum of all notes of its kind, unless a newer `log` replaces it until then.
+        """Call `log` now, or later with the sum of all notes of its kind, unless a newer `log` replaces it before.
 
         `amounts` are added up by their names. `max_interval_s` is the longest interval between two lines.
         """
