@@ -1,4 +1,4 @@
-"""The YAML loader: scalars of the core schema, what is refused and where, line numbers, and no tracebacks."""
+"""The YAML loader: scalars of the core schema, errors and their places, line numbers, and no tracebacks."""
 
 import json
 import math
@@ -19,7 +19,7 @@ PARSERS = [yaml.BaseLoader] + ([yaml.CBaseLoader] if yaml.__with_libyaml__ else 
 
 @pytest.fixture(params=PARSERS, ids=lambda parser: parser.__name__, autouse=True)
 def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every test with PyYAML's own parser and with the one over libyaml."""
+    """Run every test with PyYAML's Python parser and with libyaml's."""
     monkeypatch.setattr(yaml_source, "_YAML_LOADER", request.param)
 
 
@@ -106,7 +106,7 @@ def test_empty_documents_hold_null(text: str) -> None:
     assert document.where(("servo",)) in ("f:1:1: servo", "f:2:1: servo")
 
 
-def test_byte_order_mark_is_no_content() -> None:
+def test_a_byte_order_mark_is_not_content() -> None:
     assert load_bytes(b"\xef\xbb\xbfa: 1", "f").data == {"a": 1}
 
 
@@ -302,7 +302,7 @@ def test_any_text_is_taken_or_refused_with_lone_surrogates_too(text: str) -> Non
 def test_thousands_of_directives_are_refused_before_they_are_parsed(
     before: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """libyaml compares each with all before it: two megabytes of them took nine seconds."""
+    """libyaml compares each directive with all before it: 2 MB of them took nine seconds."""
     text = before + "%TAG !a! x\n%TAG !b! x\n" * 30
     line = before.count("\n") + 17
     with monkeypatch.context() as patch:

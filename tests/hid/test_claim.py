@@ -1,4 +1,4 @@
-"""Devices that are claimed and released, on a tree of files with a kernel that binds and unbinds."""
+"""Claim and release of devices, on a tree of files and a simulated kernel that binds and unbinds drivers."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_claimed_and_released(kernel: Kernel) -> None:
     assert not (kernel.root / CLAIM_RULES_PATH).exists() and len(kernel.commands) == 2
 
 
-def test_the_rule_stands_before_the_nodes_are_made_anew(kernel: Kernel) -> None:
+def test_the_rule_is_written_before_the_nodes_are_created_again(kernel: Kernel) -> None:
     seen: list[bool] = []
 
     def write(path: Path, text: str) -> None:
@@ -128,7 +128,7 @@ def test_a_device_that_no_driver_takes_again(kernel: Kernel, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_rules_are_written_to_nothing_but_a_file(kernel: Kernel, kind: str, tmp_path: Path) -> None:
+def test_rules_are_written_only_to_a_regular_file(kernel: Kernel, kind: str, tmp_path: Path) -> None:
     rules, end = kernel.root / CLAIM_RULES_PATH, tmp_path / "end"
     rules.parent.mkdir(parents=True, exist_ok=True)
     special(end, kind)

@@ -1,5 +1,4 @@
-"""What another program uploads in the place of our effects, judged by the force of a simulated firmware: how long it
-lasts in the time of the link, and with the core's own writer, that it ends."""
+"""Effects of another program in place of hapticd's: how long they last, with a model of the link and C's writer."""
 
 from __future__ import annotations
 
@@ -38,8 +37,11 @@ def set_up(stick: Firmware, **keys: Any) -> Plan:
 
 
 class Writer:
-    """The writer of a connection (csrc/device/hd_hid_writer.c), in the time of a link that carries one report after the
-    other: the forces that changed; if it is due, all of them and what renews them; one report that restores."""
+    """The writer of a connection (csrc/device/hd_hid_writer.c) over a link that carries one report at a time.
+
+    In each pass it sends the forces that changed, or if a renewal is due, all forces and the renewal, and then one
+    report that restores.
+    """
 
     def __init__(self, stick: Firmware, plan: Plan, report_s: float) -> None:
         self.stick, self.plan, self.report_s = stick, plan, report_s
@@ -62,7 +64,7 @@ class Writer:
         self.written += 1
 
     def go(self, force_n: tuple[float, float]) -> None:
-        """Once round."""
+        """Make one pass of the writer."""
         before = self.now
         renews = self.now >= self.renew_s
         for place, message in enumerate(self.plan.force):
@@ -85,7 +87,7 @@ class Writer:
 
 
 def wobbling(force_n: tuple[float, float]) -> Callable[[int], tuple[float, float]]:
-    """A force that is another one at each pass: the link is full."""
+    """Return a force that changes at each pass, so that the link is full."""
     return lambda count: (force_n[0] + 0.04 * (count % 2), force_n[1] - 0.04 * (count % 2))
 
 
@@ -105,7 +107,7 @@ def wobbling(force_n: tuple[float, float]) -> Callable[[int], tuple[float, float
         ),
     ],
 )
-def test_what_a_stranger_uploads_ends_in_time(kind: str, keys: dict[str, Any], report_s: float) -> None:
+def test_an_effect_of_another_program_ends_in_time(kind: str, keys: dict[str, Any], report_s: float) -> None:
     with Firmware(*KINDS[kind]) as stick:
         plan = set_up(stick, **keys)
         plan = plan_paced_for_link(plan, 1.0 / (report_s * len(plan.force)) if report_s else None)
@@ -135,7 +137,7 @@ def test_what_a_stranger_uploads_ends_in_time(kind: str, keys: dict[str, Any], r
 
 
 def test_without_restoring_it_would_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the test above rests on: the firmware does turn our force round."""
+    """The test above relies on this: the firmware lets another program reverse hapticd's force."""
     with Firmware(FINO_DESCRIPTOR, FINO) as stick:
         writer = Writer(stick, plan_paced_for_link(set_up(stick), 500.0), 1e-3)
         object.__setattr__(writer.plan, "restore", ())
@@ -160,7 +162,7 @@ def test_an_envelope_and_a_gain_of_a_stranger_end_too() -> None:
         assert stick.force() == pytest.approx((4.0 / FULL_N, -2.5 / FULL_N), abs=0.01)
 
 
-def test_a_device_that_ignores_effects_that_it_lost_shows_no_force_but_ours() -> None:
+def test_a_device_that_ignores_lost_effects_exerts_only_the_force_of_hapticd() -> None:
     with Firmware(ADAPT_FFB_JOY, ADAPT) as stick:
         writer = Writer(stick, plan_paced_for_link(set_up(stick), 500.0), 1e-3)
         stick.stranger(turns=0.3, magnitude=0.9)
@@ -171,7 +173,7 @@ def test_a_device_that_ignores_effects_that_it_lost_shows_no_force_but_ours() ->
 
 
 @pytest.mark.parametrize("report_s", [1e-3, 2e-3, 4e-3, 8e-3, 16e-3])
-def test_restoring_takes_a_third_of_a_slow_link_at_most_and_says_how_long_it_takes(report_s: float) -> None:
+def test_restoring_takes_at_most_a_third_of_a_slow_link_and_its_time_is_reported(report_s: float) -> None:
     with Firmware(FINO_DESCRIPTOR, FINO) as stick:
         plan = set_up(stick)
         # Direction and envelope of two effects, and the gain of the device.
@@ -208,8 +210,8 @@ def test_a_plan_without_effects_is_left_as_it_is() -> None:
 @pytest.mark.parametrize(
     "kind", ["fino", pytest.param("openffboard", marks=pytest.mark.slow), pytest.param("plain", marks=pytest.mark.slow)]
 )
-def test_the_writer_restores_what_a_stranger_took(kind: str) -> None:
-    """Judged when reports come, and never by when they do."""
+def test_the_writer_restores_effects_that_another_program_changed(kind: str) -> None:
+    """Only the order of reports counts, not their times."""
     descriptor, variant = KINDS[kind]
     with Firmware(descriptor, variant, clock=time.monotonic) as stick:
         plan = plan_paced_for_link(set_up(stick), None)
