@@ -196,12 +196,9 @@ class Offload:
         held = self._held.pop(mode, None)
         if held is None:
             nearest = self._nearest.get(mode)
-            if (
-                self._periodic is None
-                or nearest is None
-                or _refusal_reason(nearest, mode, self._carried_hz) is not None
-            ):
+            if self._periodic is None or _refusal_reason(nearest, mode, self._carried_hz) is not None:
                 return None
+            assert nearest is not None
             place = self._free_place(len(self._periodic.blocks))
             if place is None:
                 return None

@@ -226,8 +226,8 @@ def _lock(fd: int, what: str, until_s: float) -> None:
 def _send(fd: int, record: Record, what: str, until_s: float, write: Callable[[int, bytes], int]) -> list[str]:
     """Write all reports of the record, and return a text for each report that the device refused.
 
-    Raises HapticdError unless the device accepts, before `until_s`, all reports for a force of zero or all that stop its
-    effects; _DeviceAbsentError if the device is gone. A separate thread writes, because a write may hang.
+    Raises HapticdError unless the device accepts all reports for a force of zero, or all that stop its effects, before
+    `until_s`; _DeviceAbsentError if the device is gone. A separate thread writes, because a write may hang.
     """
     reports = [*record.zero, *record.stop]
     pause_s = min(record.pause_s, STOP_DEADLINE_S / 2.0 / len(reports)) if reports else 0.0

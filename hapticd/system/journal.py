@@ -38,9 +38,9 @@ _log = logging.getLogger("hapticd")
 def attached(level: str = "info", environ: Mapping[str, str] = os.environ) -> Iterator[None]:
     """Write the log to stderr while the context lasts.
 
-    `level`, one of LOG_LEVELS, is the lowest level of hapticd's lines that are written; libraries' lines are written from
-    "warning" on. A line begins with the time, and the date if stderr is not a terminal. If stderr is the journal, which
-    adds both, a line begins with its priority.
+    `level`, one of LOG_LEVELS, is the lowest level of hapticd's lines that are written; that of libraries is "warning".
+    A line begins with the time, and the date if stderr is not a terminal. If stderr is the journal, which adds both, a
+    line begins with its priority.
     """
     handler = logging.StreamHandler(sys.stderr)
     if is_stderr_stream(environ.get("JOURNAL_STREAM", "")):

@@ -17,10 +17,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def staircase_error(mode: Mode, frame_s: float) -> float:
-    """Return the smallest error, over delays, of a mode that starts at a frame and is held from frame to frame.
-
-    A frame carries the force of the last tick before it.
-    """
+    """Return the smallest error, over delays, of a mode that is sampled before each frame and held for a frame."""
     step_s = frame_s / 200
     time_s = np.arange(0, 6 / mode.decay_rate_per_s + 4 * frame_s, step_s) + step_s / 2
 

@@ -37,11 +37,7 @@ def set_up(stick: Firmware, **keys: Any) -> Plan:
 
 
 class Writer:
-    """The writer of a connection (csrc/device/hd_hid_writer.c) over a link that carries one report at a time.
-
-    In each pass it sends the forces that changed, or if a renewal is due, all forces and the renewal, and then one
-    report that restores.
-    """
+    """Model of C's writer: changed forces, or at a renewal all forces and the renewal, then one restoring report."""
 
     def __init__(self, stick: Firmware, plan: Plan, report_s: float) -> None:
         self.stick, self.plan, self.report_s = stick, plan, report_s
