@@ -73,7 +73,7 @@ NO_SLOT = lib.HD_NO_SLOT
 """Value of `slot` (index of an object) in an event or a reset that concerns no single object."""
 PLAY_SLOT = lib.HD_PLAY_SLOT
 """Value of `slot` (index of an object) for ringing modes that a `play` command started."""
-PASSIVITY_AGE_MAX: int = lib.HD_PASSIVITY_AGE_MAX
+MAX_AGE_PERIODS: int = lib.HD_PASSIVITY_AGE_MAX
 """Largest age of a position that the passivity observer accepts, in periods."""
 HISTOGRAM_EDGES_NS: tuple[int, ...] = tuple(map(lib.hd_histogram_edge_ns, range(lib.HD_HISTOGRAM_BINS - 1)))
 """Edges between the bins of the histograms of lateness and work, in ns. The first and the last bin have one edge."""

@@ -43,7 +43,7 @@ class DescribedAs:
         return handler(TypeAdapter(self.kind).core_schema)
 
 
-NAME_MAX_CHARACTERS = 64
+MAX_NAME_CHARACTERS = 64
 MAX_KEYS_OF_MAPPING: Final = 256
 """Largest number of keys of a mapping; every model has fewer."""
 MAX_FAULTS = 200
@@ -53,7 +53,7 @@ UNKNOWN_KEY: Final = "unknown key"
 NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
 """Pattern of a Name: neither dots nor control characters."""
 
-Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)]
+Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=MAX_NAME_CHARACTERS, pattern=NAME_PATTERN)]
 """Name of a material or id of an object: without a dot, which separates the keys of a path."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]

@@ -27,9 +27,9 @@ MAX_EFFECT_S: Final = 0.1
 COMPARED_DECAY_TIMES: Final = 6.0
 """Effect and mode are compared over this many decay times of the mode."""
 TRIED_COUNTS: Final = 50
-"""About this many counts are tried for each time of the envelope, or all counts if it has fewer."""
+"""About this many counts are tried for each duration of the envelope, or all counts if it has fewer."""
 _SAMPLES_PER_CYCLE: Final = 24
-"""Effect and mode are compared at this many samples per cycle, within the two limits below."""
+"""Effect and mode are compared at this many samples per cycle, within the limits below of the total number."""
 _MIN_COMPARED_SAMPLES: Final = 3000
 _MAX_COMPARED_SAMPLES: Final = 200_000
 _LEVEL_SUBSETS: Final = tuple(chain.from_iterable(combinations(range(3), size) for size in (1, 2, 3)))

@@ -20,7 +20,7 @@ from hapticd.hid.signs import Signs
 Counts = TypeVar("Counts", float, npt.NDArray[Any])
 
 STILL_AXIS_M_PER_COUNT: Final = 1e-15
-"""Stands for the missing axis of a handle with one axis, because any count is then a negligible motion."""
+"""Position step of the missing axis of a handle with one axis: its motion is negligible at any count."""
 
 
 class DeviceError(HapticdError):

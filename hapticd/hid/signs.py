@@ -14,11 +14,11 @@ from hapticd.base.core import SignsProblem, SignsState, lib
 PULSE_FORCE_SHARE: Final = 0.1
 """Force of a pulse by which the check pushes the handle, as a fraction of the device's largest force."""
 MIN_PULSE_MOTION_SHARE: Final = 0.005
-"""Smallest motion by a pulse that shows a sign, as a fraction of the handle's half travel."""
+"""A smaller motion during a pulse does not count, as a fraction of the handle's half travel."""
 PULSE_END_MOTION_SHARE: Final = 0.1
 """A pulse ends early once the handle has moved by this fraction of its half travel."""
 _MIN_MOTION_ENCODER_STEPS: Final = 2.0
-"""Smallest motion by a pulse that shows a sign, in steps of the encoder."""
+"""A smaller motion during a pulse does not count, in steps of the encoder."""
 _PROBLEM_TEXTS: Final[dict[SignsProblem, str]] = {
     SignsProblem.REVERSED: "a force along {axis} moves the handle the other way",
     SignsProblem.SWAPPED: "a force along {axis} moves the handle along {other}",
@@ -45,7 +45,7 @@ class Signs:
     force_n: float
     """Force of the pulse by which the check pushes the handle."""
     least_m: float
-    """Smallest motion by a pulse that shows a sign."""
+    """Smallest mean motion during a pulse that counts as a motion."""
     enough_m: float
     """Motion of the handle after which a pulse ends early."""
 

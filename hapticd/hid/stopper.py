@@ -28,7 +28,7 @@ from hapticd.system.trusted_files import read_trusted
 
 SYSFS_ROOT: Final = Path("/sys")
 STOP_DEADLINE_S: Final = 3.0
-"""A device must accept all reports of its record within this time."""
+"""`hapticd stop-device` gives up if the device has not accepted its reports within this time."""
 _RECORD_VERSION: Final = 1
 _MAX_RECORD_BYTES: Final = 1 << 16
 """A larger file cannot be a record."""

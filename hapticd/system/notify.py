@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Final
 
 STATUS_INTERVAL_S: Final = 1.0
-"""The status line is updated at this interval."""
+"""Interval of updates of the status line, unless the watchdog needs a shorter one."""
 _SEND_TIMEOUT_S: Final = 2.0
 """A message is dropped if the service manager does not read its socket for this long."""
 
