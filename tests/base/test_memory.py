@@ -22,14 +22,14 @@ libc = ctypes.CDLL(None)
 libc.fopen.restype = ctypes.c_void_p
 
 def separate_blocks():
-    # How many blocks have pages of their own.
+    # How many blocks have separate pages.
     file = ctypes.c_void_p(libc.fopen(sys.argv[1].encode(), b"w"))
     assert file and libc.malloc_info(0, file) == 0 and libc.fclose(file) == 0
     return int(re.search(r'<total type="mmap" count="(\\d+)"', open(sys.argv[1]).read())[1])
 
 if sys.argv[2] == "settled":
     return_large_blocks()
-del (buffer := [bytearray(4 << 20)])[:]  # this is what raises the limit
+del (buffer := [bytearray(4 << 20)])[:]  # this raises the limit
 before = separate_blocks()
 kept = [bytearray(size) for size in json.loads(sys.argv[3])]
 print(separate_blocks() - before)

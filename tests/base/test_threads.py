@@ -19,9 +19,9 @@ from hapticd.base.errors import HapticdError
 from tests.support.marks import rest_slow
 
 NOBODY = 64321
-"""A user that has no other processes. Root itself has no such limit."""
+"""A user without other processes. Root has no limit of processes."""
 LEFT = "-all,+dac_override"
-"""The interpreter may be root's alone."""
+"""Capabilities to keep: only root may read the interpreter's files on some machines."""
 
 
 def limited(limit: int, directory: Path, *words: str) -> subprocess.CompletedProcess[str]:

@@ -26,7 +26,7 @@ def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
 ONE_PARSER = pytest.mark.parametrize(
     "parser", rest_slow(reversed(PARSERS)), ids=lambda parser: parser.__name__, indirect=True
 )
-"""Of a test that takes long: CI has it with the parser that is used, `make test-slow` with both."""
+"""Mark of a long test: CI runs it with the default parser, `make test-slow` with both."""
 
 
 def refusal(text: str | bytes) -> Problem:
@@ -38,7 +38,7 @@ def refusal(text: str | bytes) -> Problem:
     return problem
 
 
-# YAML 1.2.2, section 10.3.2 (and 10.2.1.2 for what the regular expressions leave out).
+# YAML 1.2.2, section 10.3.2, and 10.2.1.2 for values that the regular expressions omit.
 SCALARS: list[tuple[str, Json]] = [
     *((text, None) for text in ("null", "Null", "NULL", "~", "")),
     *((text, True) for text in ("true", "True", "TRUE")),

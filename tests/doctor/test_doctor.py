@@ -79,7 +79,7 @@ def test_a_processor_that_is_asked_for_is_not_known_without_files(tmp_path: Path
 def test_every_check_stands_an_empty_machine(tmp_path: Path) -> None:
     for needs in (Needs(), Needs("required", 90, 3, Hid())):
         found = list(diagnose(Machine(tmp_path, limit=nothing), needs))
-        assert len(found) >= len(ALL_CHECKS) - 1  # without a joystick nobody competes for one
+        assert len(found) >= len(ALL_CHECKS) - 1  # without a joystick there is no line for competitors
 
 
 def test_files_that_hold_nonsense(tmp_path: Path) -> None:
@@ -335,7 +335,7 @@ def test_a_joystick_that_may_be_driven(tmp_path: Path) -> None:
 def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
     joystick(tmp_path)
     descriptor = tmp_path / "sys/class/hidraw/hidraw0/device/report_descriptor"
-    # One axis and two bytes out: no forces, unless the configuration says what they are.
+    # One axis and two output bytes: no forces, unless the configuration describes them.
     descriptor.write_bytes(bytes.fromhex("05010904a10109301500 26ff0075089502 8102 0600ff0901 9102c0"))
     assert reported(tmp_path, devices.permissions).startswith("ok no force-feedback joystick of the PID class")
     report = {
@@ -510,7 +510,7 @@ def test_a_fault_of_the_machine_is_exit_code_1(
     assert captured.err.startswith("hapticd: not ready: config")
 
 
-# A process that listens as a daemon does, and never answers.
+# A process that listens as a daemon does and never answers.
 LISTENS = """
 import socket, sys
 with socket.socket(socket.AF_UNIX) as own:

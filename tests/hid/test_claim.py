@@ -34,7 +34,7 @@ def test_claimed_and_released(kernel: Kernel) -> None:
     assert kernel.claims.names() == [STICK]
     after = kernel.found(STICK).path
     assert after != before and kernel.claims.path(STICK) == after and not os.path.exists(before)
-    # Of this device, and no other: also where no udev is there to do it.
+    # Only the nodes of this device are hidden, also without udev.
     assert kernel.modes(STICK) == {0o600} and kernel.modes(OTHER) == {0o660}
     lines = (kernel.root / CLAIM_RULES_PATH).read_text().splitlines()
     assert len(lines) == 2 and all(f'KERNELS=="{STICK}"' in line and OTHER not in line for line in lines)

@@ -42,10 +42,9 @@ class World:
         self.opened: list[Opened] = []
         self.on_change: bool | None = False
         self.hid: dict[str, Any] = {"renew_s": 0.1, "effect_duration_s": 0.25, "signs": "trust"}
-        """More of `device.hid`. Effects that do not play after three renewals are forgotten, and whoever tells of them
-        here is a thread of Python."""
+        """Further keys of `device.hid`. Renewals are slow, because a Python thread reports which effects play."""
         self.late_after_s = 60.0
-        """So late a report is a fault. They come from a thread of Python, which may be held up."""
+        """A report that is later is a fault. A Python thread sends the reports, which may be delayed."""
         self.config: dict[str, Any] = {
             "materials": {"plain": {"stiffness_n_per_m": STIFFNESS}},
             "scene": FLOOR,
@@ -57,7 +56,7 @@ class World:
         self._monkeypatch = monkeypatch
         monkeypatch.setattr("hapticd.daemon.engine.source_of", lambda _: self.open)
         monkeypatch.setattr(connection_module, "RECONNECT_INTERVAL_S", 0.01)
-        # What a device says of a set-up must not be taken for news of later.
+        # Reports about the set-up must not be taken for later ones.
         monkeypatch.setattr(connection_module, "READY_POLL_INTERVAL_S", 0.3)
         monkeypatch.setattr(connection_module, "READY_TIMEOUT_S", 60.0)
 
@@ -246,7 +245,7 @@ def test_unplugged_and_plugged_in_again_during_contact(world: World) -> None:
     assert (connection.status()["problem"], connection.status()["connects"]) == (None, 2)
     world.until(lambda: EventKind.DEVICE_FOUND in world.events())
     assert "floor" in engine.scene.objects
-    # The fault stays until somebody says so.
+    # The fault stays until a client clears it.
     assert again.force() == (0.0, 0.0)
     engine.set_forces(True)
     again.wait(pressed(again, 0.004))
@@ -280,7 +279,7 @@ def test_a_device_that_was_reset_is_set_up_again(world: World) -> None:
         lambda: connection.status()["states"] == {"actuators": True, "paused": False, "safety": False, "power": False}
     )
     assert connection.status()["connects"] == 1 and connection.status()["resets"] in (1, 2)
-    # It says which effects play, so nothing but the set-up sends directions.
+    # The device reports which effects play, so only the set-up sends directions.
     assert connection.status()["resets_seen"] is True and connection.status()["foreign_effect_s"] is None
 
 
@@ -292,7 +291,7 @@ def test_a_reset_that_leaves_the_actuators_on_is_seen_by_the_effects(world: Worl
     engine.set_forces(True)
     stick.wait(pressed(stick, 0.004))
     for _ in range(3):
-        # Effects have to play on over renewals before it means something that they do not.
+        # A lost effect counts only after effects have played over several renewals.
         stick.log.clear()
         stick.wait(lambda: stick.log.count("operation start 2") >= 8)
         stick.reset(enabled=True)
@@ -310,7 +309,7 @@ def test_a_device_that_does_not_report_what_plays_is_left_alone(world: World) ->
     connection = engine.connection
     assert connection is not None and connection.status()["resets"] == 0
     assert stick.log.count("create") == 2
-    # What another program may have changed is sent again and again, and the status says so.
+    # Effects that another program may have changed are restored repeatedly, and the status reports it.
     stick.wait(lambda: min(stick.log.count(f"{what} {n}") for what in ("set_effect", "envelope") for n in (1, 2)) > 3)
     world.until(lambda: connection.status()["resets_seen"] is False)
     lasts = connection.status()["foreign_effect_s"]
@@ -353,7 +352,7 @@ def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
     assert [record.message for record in caplog.records if "does not respond" in record.message] == [
         "the device does not respond to its set-up; it is left with a force of zero"
     ]
-    # What the thread still holds stays open; when it comes back it does nothing that would need it.
+    # The thread's device stays open, and the thread no longer uses it when it returns.
     assert not stick.device.closed and thread.is_alive()
     answers.set()
     thread.join(60)
@@ -405,7 +404,7 @@ def test_whether_a_device_reports_steadily_is_heard(
 ) -> None:
     stick = world.plug()
     world.on_change = None
-    if steady:  # a report like the one before it ends that at once
+    if steady:  # two equal reports end the wait at once
         monkeypatch.setattr(connection_module, "FIRST_REPORTS_TIMEOUT_S", 60.0)
     done = threading.Event()
 

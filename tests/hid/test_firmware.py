@@ -164,7 +164,7 @@ def test_stop_solo_pause_and_reset(host: Host) -> None:
     assert stick.force() == (0.0, 0.0)
     stick.now = 2.0
     host.control("device_continue")
-    # What was left of its second when it was paused.
+    # The rest of the second at the moment of the pause.
     assert along_x(stick, 2.59) == pytest.approx(0.25, abs=1e-4) and along_x(stick, 2.61) == 0.0
     host.control("disable_actuators")
     assert stick.force() == (0.0, 0.0)
@@ -190,7 +190,7 @@ def test_conditions(host: Host) -> None:
         beyond = 0.5 * math.sin(2.0 * t_s) - 0.1
         wanted = -0.5 * max(beyond - 0.125, 0.0)
         assert stick.force(t_s) == pytest.approx((wanted, -(0.25 - 0.125)), abs=1e-4), t_s
-    # To the other side its coefficient is the other one, up to its saturation.
+    # In the other direction the other coefficient applies, up to its saturation.
     assert stick.force(0.99)[0] < 0.0
     stick.motion = lambda t_s: (-0.5, 0.0)
     assert stick.force() == (pytest.approx(FULL // 4 / FULL), 0.0)

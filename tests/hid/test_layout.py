@@ -317,7 +317,7 @@ def test_ranges_that_do_not_fit() -> None:
     found = layout(Joystick(axis_bits=10))
     assert found.missing == ("Joystick: X or Y",)
     assert len(found.problems) == 2
-    # Where nothing is scaled, what fits is taken.
+    # The range of a field without a scale is limited to the field's bits.
     found = layout(Joystick(indices=300))
     assert found.usable and found.effect_indices == (1, 255)
 
@@ -462,7 +462,7 @@ def test_a_turn(items: bytes, turn: float) -> None:
         (logical(-180, 180) + physical(0, 360) + unit(0x14), -180),
         (logical(0, 255) + physical(-180, 180) + unit(0), 127.5),
         (logical(-128, 127) + physical(-31416, 31416) + unit(0x12, -4), -0.5),
-        # No range of angles: the counts are the angle.
+        # Without a range of angles the counts are the angle.
         (logical(-180, 180) + physical(0, 0) + unit(0), 0),
         (logical(1, 255) + physical(0, 0) + unit(0), 1),
         (logical(0, 255) + physical(-10000, 10000) + unit(0), 0),

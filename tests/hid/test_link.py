@@ -41,7 +41,7 @@ def test_a_tap_behind_a_link_is_its_closed_form_held(name: str, link_hz: float) 
     assert found is not None
     delay_s, error = found
     expected = staircase_error(material.tap.mode, 1 / link_hz)
-    # The beginning lies anywhere within a tick.
+    # The onset lies anywhere within a tick.
     assert error == pytest.approx(expected, rel=0.05)
     assert 1.5 / link_hz < delay_s < 2.5 / link_hz + 1e-4
 

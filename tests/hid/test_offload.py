@@ -143,7 +143,7 @@ def test_levels_are_those_that_the_device_has() -> None:
 def test_no_effect_is_longer_than_a_tenth_of_a_second() -> None:
     slow = nearest_effect(Mode(decay_rate_per_s=1.0, angular_frequency_rad_per_s=300.0), scales(Joystick()))
     assert slow is not None and slow.duration_s <= MAX_EFFECT_S
-    # What is left of the mode after the tenth: exp(-2 * 0.1) of its power.
+    # After 0.1 s a fraction exp(-2 * 0.1) of the mode's power remains.
     assert slow.error >= math.exp(-0.1) - 0.01
 
 
@@ -238,7 +238,7 @@ def test_set_up_makes_as_many_effects_as_there_is_room_for() -> None:
             for message in plan.stop:
                 stick.take(message.data)
             assert not stick.effects and not stick.enabled
-            # The forces first, what only costs room last.
+            # Forces are stopped first; periodic effects, which only take room, are freed last.
             assert stick.log[:2] == ["operation stop 1", "operation stop 2"]
             assert stick.log.index("disable_actuators") < stick.log.index("block_free 3")
 
@@ -304,7 +304,7 @@ def test_a_mode_keeps_its_effect_while_it_is_used() -> None:
     assert first is not None and second is not None and first.id != second.id
     assert held.take(delrin) is None
     held.give(steel)
-    # It was refused, and stays so as long as it is used: its record says so.
+    # The mode was streamed, and stays so while it is used, because its record was compiled for that.
     assert held.take(delrin) is None
     held.give(delrin)
     held.give(delrin)
@@ -494,7 +494,7 @@ def test_effects_are_stopped_with_the_forces_and_not_started_without_them(ringin
         ringing.full(engine)
         index = struck(ringing, methods, stick, direction=[0, 1], amplitude_m_per_s2=10.0).index
         engine.set_forces(False)
-        # A fade under way: a strike is no strike of the device.
+        # During the fade, the device does not play a strike.
         before, renewed = len(stick.strikes), stick.log.count("operation start 1")
         engine.play(MODE, "coefficient", (0.0, 1.0), 10.0)
         stick.wait(lambda: stick.log.count("operation start 1") >= renewed + 3)
@@ -557,7 +557,7 @@ def test_the_status_reports_which_modes_are_offloaded(ringing: World) -> None:
         "streamed_error_percent": 100.0,
         "refused": None,
     }
-    # What the device plays is not silent.
+    # A mode that the device plays is not silent.
     assert status["undisplayable"] == []
     silent = {"materials": {"glass": {"tap": {"frequency_hz": 4700.0}}}}
     Methods(engine).call("update_materials", silent)

@@ -100,7 +100,7 @@ def test_which_effects_are_watched() -> None:
         assert (watched.report_id, watched.indices) == (state.report_id, (1, 2))
         assert watched.index.bit_offset == state.effect_index.bit_offset
         assert watched.playing.bit_offset == state.effect_playing.bit_offset
-        # So many renewals take longer than an effect, whenever within an interval the first one comes.
+        # These renewals take longer than an effect, wherever the first one lies within an interval.
         assert (watched.proof - 1) * plan.renew_s > 0.1
         # Stopped, so that the first renewal starts them while reports are read.
         stick.log.clear()
@@ -112,7 +112,7 @@ def test_which_effects_are_watched() -> None:
 
 
 def test_a_state_that_cannot_name_an_effect_is_not_watched() -> None:
-    # With 200 effects, the 7 bits of the index in the state are too few for that of the last ones.
+    # With 200 effects, the 7 bits of the index in PID State are too few for the last ones.
     for like, first_index in ((Joystick(without=frozenset({0x92})), 1), (Joystick(indices=200), 198)):
         with joystick(like, first_index=first_index) as stick:
             plan = driver(stick).set_up(stick.device)
@@ -183,7 +183,7 @@ def test_magnitude_sign_and_axis(name: str) -> None:
             send(stick, plan, force_n)
             wanted = [part / FULL_N for part in force_n]
             size = math.hypot(*wanted)
-            # Each effect is off by its own direction, so both add up.
+            # Each effect has its direction's error, so the errors add up.
             assert stick.force() == pytest.approx(wanted, abs=error_of(stick, plan) * (1 + math.sqrt(2) * size)), (
                 force_n
             )

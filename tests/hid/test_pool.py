@@ -17,7 +17,7 @@ from tests.support.hid_descriptors import Joystick
 from tests.support.hid_device import FakePid
 
 FINE = Joystick(direction_bits=16, time_exponent=-4, level=10000)
-"""It can play periodic effects, too."""
+"""A joystick that can play periodic effects, too."""
 
 
 @dataclass
@@ -31,7 +31,7 @@ class Pooled(FakePid):
     cut: int | None = None
     """Bytes of its answer."""
     says: list[int] = field(default_factory=list)
-    """How many effects it plays at a time; the last one from then on. None: as many as it has room for."""
+    """Reported numbers of effects at a time, the last one repeatedly; if empty, the number that it has room for."""
 
     def get_feature(self, report_id: int, length: int) -> bytes:
         place = self.layout.pool
@@ -85,7 +85,7 @@ def test_a_pool_that_frees_all_effects(sticks: list[Pooled], offload: str, quirk
     periodic = 8 if offload == "auto" else 0
     assert len(stick.effects) == constant + periodic
     assert all(stick.effects[index].playing for index in range(1, constant + 1))
-    # Once in each set-up, before its first effect; where one effect is all that is wanted, not at all.
+    # Once in each set-up, before the first effect; never if only one effect is wanted.
     order = [name for name in stick.log if name in ("pool", "create")]
     one = [*["pool"] * (constant + periodic > 1), *["create"] * constant]
     assert order == 2 * one

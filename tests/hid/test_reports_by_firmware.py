@@ -101,7 +101,7 @@ def test_signs_and_sizes(name: str) -> None:
         for force_n in FORCES:
             send(stick, plan, force_n)
             wanted = (force_n[0] / FULL_N, force_n[1] / FULL_N)
-            # At once and as long as the effect lasts: there is no envelope.
+            # The full force acts from the beginning to the end of the effect: there is no envelope.
             for t_s in (stick.now, stick.now + 0.05, stick.now + 0.099):
                 assert stick.force(t_s) == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), force_n
         assert stick.force(stick.now + 0.102) == (0.0, 0.0)
@@ -320,7 +320,7 @@ def test_a_strike_is_the_mode_along_its_direction(name: str) -> None:
         ideal = size_n * np.exp(-mode.decay_rate_per_s * times_s) * np.sin(mode.angular_frequency_rad_per_s * times_s)
         along, across = shown @ np.array(way), shown @ np.array([-way[1], way[0]])
         power = float(np.sqrt(np.mean(ideal**2)))
-        # Levels and direction are whole counts, too.
+        # Levels and direction are integer counts, too.
         assert float(np.sqrt(np.mean((along - ideal) ** 2))) / power < shape.error + 0.01
         assert float(np.abs(across).max()) < 0.018 * float(np.abs(along).max()) + 1e-9
         assert stick.faults == []

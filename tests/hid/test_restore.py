@@ -23,7 +23,7 @@ from tests.support.firmware_descriptors import FINO as FINO_DESCRIPTOR
 
 FULL_N = 8.9
 NOTHING = Variant(tells="nothing", takes_unknown=True)
-"""By the specification, but for reports about effects that it lost, and it tells nothing."""
+"""Firmware that accepts reports for lost effects, and reports nothing about effects."""
 KINDS: dict[str, tuple[bytes, Variant]] = {
     "fino": (FINO_DESCRIPTOR, FINO),
     "openffboard": (OPENFFBOARD_2, replace(OPENFFBOARD, takes_unknown=True)),
@@ -113,7 +113,7 @@ def test_an_effect_of_another_program_ends_in_time(kind: str, keys: dict[str, An
         ours: tuple[float, float] | None = None
         for turn in range(5):
             passes = 0
-            # Somewhere else in the turn of what is sent each time.
+            # Each time at another place in the sequence of restoring reports.
             until = writer.now + 0.1 + 0.0217 * turn
             while writer.now < until:
                 writer.go(wanted(passes))
@@ -217,7 +217,7 @@ def test_the_writer_restores_effects_that_another_program_changed(kind: str) -> 
             for turns in (0.0, 0.3):
                 stick.stranger(turns=turns, magnitude=0.9)
                 before = len(stick.reports)
-                # All of both effects, from here on.
+                # From here on, all parameters of both effects.
                 wanted = {message.data for message in (*plan.restore, *plan.renew)}
                 stick.wait(lambda: wanted <= {data for _, _, data in stick.reports[before:]})  # noqa: B023
                 effects = [stick.effects[index] for index in (1, 2)]

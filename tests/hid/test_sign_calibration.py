@@ -66,7 +66,7 @@ def test_the_found_axes_make_the_device_push_the_right_way(x: int, y: int, swap:
     assert bench.is_at_rest()
     assert bench.largest_n == pytest.approx(0.4, rel=0.01)
     bench.stick.close()
-    # Driven by what was found, a force moves the handle its own way.
+    # With the found axes, a force moves the handle in the direction of the force.
     again = Bench(wiring, like)
     second = again.calibrate(force_axes=found.force_axes.to_dict())
     again.stick.close()

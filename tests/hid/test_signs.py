@@ -18,7 +18,7 @@ FULL_N = 8.9
 MAX_N = 6.0
 RAMP_S = 0.1
 STEP_N = MAX_N / RATE_HZ / RAMP_S
-"""What a command may move the force by in a tick."""
+"""Largest change of the force in a tick, in N."""
 
 Hand = Callable[[float], tuple[float, float]]
 
@@ -37,11 +37,11 @@ class Handle:
     spring: float = 0.0
     turn: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
     hand: Hand = _no_hand
-    """Its force over time, N."""
+    """The hand's force over time, in N."""
     step_m: float = 1.5e-6
     noise_m: float = 0.0
     late: int = 10
-    """Ticks from a force to the position that shows it."""
+    """Ticks from a force to the position that it has changed."""
     held: bool = False
     position_m: list[float] = field(default_factory=lambda: [0.0, 0.0])
     speed: list[float] = field(default_factory=lambda: [0.0, 0.0])

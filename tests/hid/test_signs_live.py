@@ -33,7 +33,7 @@ from tests.support import firmware_descriptors as descriptors
 from tests.support.firmware import ARDUINO, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
 
 GIVES = 0.8
-"""Of the half travel, for the full force: a spring-centred handle."""
+"""Deflection by the full force, as a fraction of the half travel, of a handle that a spring centres."""
 AWAY = {"objects": {"floor": {"kind": "wall", "point_m": [0, -0.02], "normal": [0, 1], "material": "plain"}}}
 
 
@@ -45,7 +45,7 @@ class Sprung(World):
         self.hid = {"renew_s": 0.1, "effect_duration_s": 0.25, "signs": "check"}
         self.config["scene"] = AWAY
         self.way = ((1.0, 0.0), (0.0, 1.0))
-        """What the device makes of a force."""
+        """Matrix from a commanded force to the force of the device."""
         self.gives = GIVES
         self.port = "here"
         self.room = records(SAMPLE_DTYPE, 16384)
@@ -78,7 +78,7 @@ class Sprung(World):
             assert self.engine is not None
             self.collect()
             state = self.engine.counters().signs.state
-            if state == SignsState.UNCLEAR:  # whoever moves the handle is a thread of Python, which may be held up
+            if state == SignsState.UNCLEAR:  # a Python thread moves the handle, and may be delayed
                 self.engine.set_forces(True)
             return state in states
 
@@ -185,7 +185,7 @@ def test_right_signs_then_the_scene_and_a_replay_bit_for_bit(world: Sprung, tmp_
         Methods(engine).call("play", {"material": "wood", "amplitude_m_per_s2": 1.0, "direction": [0, 1]})
     assert refused.value.code == -32003
     world.comes_to(SignsState.RIGHT)
-    world.hold(0.024)  # by hand, on top of what gives way
+    world.hold(0.024)  # by hand, in addition to the spring's deflection
     assert engine.counters().faults == Fault(0)
     world.until(lambda: (world.collect(), world.samples["force_n"][-1, 1] > 0.5 * 0.004 * STIFFNESS)[1])
     checked = world.checked()
@@ -208,9 +208,9 @@ def test_right_signs_then_the_scene_and_a_replay_bit_for_bit(world: Sprung, tmp_
         assert again[name].tobytes() == samples[name][first:].tobytes(), name
     assert again["flags"][1:].tobytes() == samples["flags"][first + 1 :].tobytes()
 
-    # A recording that begins in the middle of the check has no force of the scene before its end, either.
+    # A recording that begins in the middle of the check has no force of the scene before the check ends, either.
     middle = (begin + int(np.flatnonzero(checked)[-1])) // 2
-    # A replay begins where two ticks running have a new report and nothing that is left over.
+    # A replay begins at two successive ticks with a new report, no ramp and no glitch.
     fresh = samples["flags"][middle:] & (Flag.REPEATED | Flag.RAMPING | Flag.GLITCH) == 0
     part = samples[middle + int(np.argmax(fresh[:-1] & fresh[1:])) :]
     config = {"servo": {"rate_hz": 1000}, "device": {"kind": "hid"}, **world.config}
@@ -247,7 +247,7 @@ def test_wrong_signs_and_never_a_force_of_the_scene(world: Sprung, caplog: pytes
     assert stick.force() == (0.0, 0.0)
     world.until(lambda: any("signs of the device are wrong" in line for line in caplog.messages))
     assert sum("signs of the device are wrong" in line for line in caplog.messages) == 1
-    # It stays so when the same device comes back; another one is checked.
+    # The result stays when the same device comes back; another device is checked.
     world.unplug()
     world.until(lambda: Fault.DEVICE in engine.counters().faults)
     world._y = 0

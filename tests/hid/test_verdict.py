@@ -72,7 +72,7 @@ def with_id(report: int, number: int) -> bytes:
     return STICK[:at] + bytes([number]) + STICK[at + 1 :]
 
 
-# What is wrong with a device, or None; the descriptor; and device.hid.
+# The expected reason, or None; the descriptor; and device.hid.
 CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
     "plain": (None, STICK, {}),
     "two reports with one id": (

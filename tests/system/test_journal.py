@@ -132,7 +132,7 @@ def test_a_flood_is_one_line_at_once_and_then_sums_at_doubling_intervals(logged:
     assert logged.messages[-1] == "108,000 periods missed, 72,000 times, in the last 1 h"
     assert len(logged.messages) == 1 + 12 + 8
     clock.s += FORGET_AFTER_S
-    log.flush()  # what was held back
+    log.flush()  # the delayed sum
     clock.s += FORGET_AFTER_S
     log.note(overrun(1, 1))
     assert logged.messages[-1] == "1 period missed"

@@ -122,7 +122,7 @@ def test_the_watchdog_is_fed_while_the_servo_ticks_and_only_then(
     world = World()
     watch = world.watch()
     fed = []
-    for step in range(400):  # 40 s, the servo stands from 10 s to 20 s
+    for step in range(400):  # 40 s; the servo stops from 10 s to 20 s
         world.now_s = 100.0 + 0.1 * step
         if not 100 <= step < 200:
             world.ticks += 1000
@@ -130,7 +130,7 @@ def test_the_watchdog_is_fed_while_the_servo_ticks_and_only_then(
         fed += [0.1 * step for message in manager.received() if message == {"WATCHDOG": "1"}]
     ticking = [time_s for time_s in fed if time_s <= 10.0]
     assert max(later - sooner for sooner, later in zip([0.0, *ticking], [*ticking, 10.0], strict=True)) <= 1.0
-    # At most one is on its way for what the servo did before it stood.
+    # At most one message is due to ticks from before the stop.
     assert len([time_s for time_s in fed if 10.0 < time_s < 20.0]) <= 1
     assert any(20.0 <= time_s <= 21.0 for time_s in fed)
 

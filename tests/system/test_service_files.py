@@ -243,6 +243,6 @@ def test_the_units_are_exposed_as_little_as_promised(name: str, limit: float) ->
     (line,) = [line for line in done.stdout.splitlines() if "Overall exposure level" in line]
     exposure = float(line.split(":")[1].split()[0])
     assert exposure <= limit
-    # The page says the same.
+    # The documentation has the same figure.
     page = (ROOT / "docs" / "service.md").read_text()
     assert f"| `{name}` | {exposure:g} |" in page

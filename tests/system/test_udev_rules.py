@@ -39,7 +39,7 @@ def test_no_other_file_has_the_numbers() -> None:
     """Only the rule has the numbers of boards and vendors; tests and examples may name a device."""
     paths = [path for folder in ("hapticd", "docs") for path in (ROOT / folder).rglob("*")]
     text = "\n".join(path.read_text() for path in paths if path.suffix in (".py", ".md")).lower()
-    # The page's example of a configuration.
+    # The example in the documentation.
     assert [name for name in known() if name.lower() in text] in ([], ["045E:001B"])
 
 
@@ -56,6 +56,6 @@ def test_the_pid_class_is_recognised_by_the_report_descriptor(tmp_path: Path, de
     assert len(patterns) == 2 and patterns[0] == patterns[1]
     here = tmp_path / "report_descriptor"
     here.write_bytes(descriptor)
-    # The one that is not there does not matter: event nodes lie deeper than those of hidraw.
+    # A file that does not exist does not matter: event nodes lie deeper than hidraw nodes.
     command = ["/bin/grep", "-qsaP", patterns[0], str(tmp_path / "none"), str(here)]
     assert (subprocess.run(command, check=False).returncode == 0) == is_pid
