@@ -1,8 +1,8 @@
 """Build `hapticd._core`: every file of csrc/, behind the boundary that csrc/api/ declares.
 
 Run by setuptools (setup.py), never imported by the package. cffi and _stub.py, which makes the types for mypy, read the
-same headers as the C compiler, so that they cannot disagree. HAPTICD_WERROR=1 turns warnings into errors, which users'
-builds do not do, since newer compilers have new warnings.
+same headers as the C compiler, so that they cannot disagree. HAPTICD_WERROR=1 turns warnings into errors; it is not the
+default, because newer compilers have new warnings.
 """
 
 import os

@@ -29,7 +29,7 @@ _LITERAL_PARAGRAPH: Final = re.compile(r"\x08\n(.*?)(?=\n\n|\Z)", re.DOTALL)
 
 
 def write(folder: Path) -> list[str]:
-    """Write all man pages and completion scripts to share/ below `folder`, and return their names there."""
+    """Write all man pages and completion scripts to share/ below `folder`; return their paths relative to `folder`."""
     root = _commands()
     files = [*(f"share/man/man1/{name}" for name in _page_names(root)), *SCRIPT_PATH_BY_SHELL.values()]
     for file in files:
@@ -49,14 +49,14 @@ def _page_names(command: click.Command, path: str = "hapticd") -> Iterator[str]:
 
 
 def _commands() -> click.Command:
-    """Load all commands of hapticd, with help texts whose literal paragraphs man pages (roff) do not wrap."""
+    """Load all commands of hapticd, and prepare their help texts for man pages (roff)."""
     ctx = click.Context(hapticd.cli.cli, info_name="hapticd")
     commands = {name: hapticd.cli.cli.get_command(ctx, name) for name in hapticd.cli.cli.list_commands(ctx)}
     return _for_roff(hapticd.cli.cli, {name: command for name, command in commands.items() if command is not None})
 
 
 def _for_roff(command: click.Command, below: Mapping[str, click.Command]) -> click.Command:
-    """Return a copy of a command and its subcommands, with help texts in the form that man pages (roff) need."""
+    """Return a copy of a command with the subcommands `below`, whose help texts have the form that roff needs."""
     made = copy(command)
     made.short_help = command.get_short_help_str(limit=200)
     made.help = _LITERAL_PARAGRAPH.sub(r".nf\n\1\n.fi", cleandoc(command.help or ""))

@@ -1,8 +1,8 @@
-"""The types of the compiled extension, for mypy and editors: hapticd/_core.pyi, made from the headers of csrc/api/.
+"""Makes hapticd/_core.pyi, the types of the compiled extension for mypy and editors, from the headers of csrc/api/.
 
-A part of the build (_build.py), never imported by the package; git ignores the stub. The header holds only
-declarations and numbers, so a few regular expressions can read it; tests/project/test_core_layout.py compares the stub
-with the compiled library.
+_build.py runs this module, the package never imports it; git ignores the stub. The headers hold only declarations and
+numbers, so a few regular expressions can read them; tests/project/test_core_layout.py compares the stub with the
+compiled library.
 """
 
 import keyword
@@ -66,7 +66,7 @@ class FFI:
 
 
 def stub_of(header: str) -> str:
-    """Return the text of the stub: cffi's types, an enum for each enum of the header, and the library's functions."""
+    """Return the text of the stub: cffi's types, the enums of the header, and the functions and numbers of `lib`."""
     code = re.sub(r"/\*.*?\*/", "", header, flags=re.DOTALL)
     enums, library = "", "\nclass Lib:\n"
     for name in re.findall(r"^#define (HD_\w+) \d+", code, re.MULTILINE):

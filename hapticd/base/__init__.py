@@ -6,7 +6,7 @@ The core and the process:
     clock              CLOCK_MONOTONIC and the time of day, read together
     memory             memory allocation of a process that runs for months
     threads            background threads; checks the user's limit of processes
-    steps              long work as a generator that yields between its parts
+    steps              long work as a generator, which yields between its parts
 
 Text that people and programs write and read:
 

@@ -20,24 +20,24 @@ def invalid_argument(where: str, problem: str) -> InvalidError:
 
 
 def seconds(name: str, value: object, *, zero: bool = False) -> float:
-    """Return a checked, finite time in s, more than 0, or with `zero` at least 0. Raises InvalidError."""
+    """Check that a value is a finite time in s above 0 (with `zero` also 0), and return it. Raises InvalidError."""
     number = _number(value)
     if number is None or not 0 <= number < math.inf or (number == 0 and not zero):
-        least = "of at least 0" if zero else "of more than 0"
-        raise invalid_argument(name, f"must be a number of seconds {least}, is {shown(value)}")
+        limit = "of at least 0" if zero else "of more than 0"
+        raise invalid_argument(name, f"must be a number of seconds {limit}, is {shown(value)}")
     return number
 
 
-def within(name: str, value: object, most: float, unit: str) -> float:
-    """Return a checked number from -`most` to `most`. Raises InvalidError."""
+def within(name: str, value: object, limit: float, unit: str) -> float:
+    """Check that a value is a number from -`limit` to `limit`, and return it as float. Raises InvalidError."""
     number = _number(value)
-    if number is None or not -most <= number <= most:
-        raise invalid_argument(name, f"must be a number from {-most:g} to {most:g} {unit}, is {shown(value)}")
+    if number is None or not -limit <= number <= limit:
+        raise invalid_argument(name, f"must be a number from {-limit:g} to {limit:g} {unit}, is {shown(value)}")
     return number
 
 
 def flag(name: str, value: object) -> bool:
-    """Return a checked boolean of Python or numpy. Raises InvalidError."""
+    """Check that a value is a boolean of Python or numpy, and return it as bool. Raises InvalidError."""
     made = value.tolist() if hasattr(value, "tolist") else value
     if not isinstance(made, bool):
         raise invalid_argument(name, f"must be True or False, is {shown(value)}")
@@ -45,7 +45,7 @@ def flag(name: str, value: object) -> bool:
 
 
 def path(name: str, value: object) -> str:
-    """Return the checked path of a file or a folder. Raises InvalidError."""
+    """Check that a value is a path, and return it as text. Raises InvalidError, also for an empty path."""
     if not isinstance(value, str | os.PathLike):
         raise invalid_argument(name, f"must be a path, is {shown(value)}")
     found = os.fspath(value)
@@ -55,14 +55,14 @@ def path(name: str, value: object) -> str:
 
 
 def mapping(name: str, value: object) -> dict[str, object]:
-    """Check a mapping, and return it as a dict. Raises InvalidError."""
+    """Check that a value is a mapping, and return it as a dict. Raises InvalidError."""
     if not isinstance(value, Mapping):
         raise invalid_argument(name, f"must be a mapping, is {shown(value)}")
     return dict(value)
 
 
 def numbers(name: str, value: object) -> list[float]:
-    """Return a list, a tuple or a numpy array of numbers as a checked list. Raises InvalidError."""
+    """Check that a value is a list, a tuple or an array of numbers, and return it as a list. Raises InvalidError."""
     found = []
     for place, each in enumerate(_items(name, value, "numbers")):
         number = _number(each)
@@ -73,12 +73,12 @@ def numbers(name: str, value: object) -> list[float]:
 
 
 def rows(name: str, value: object) -> list[list[float]]:
-    """Return a list of lists of numbers, or a numpy array of two dimensions, as checked lists. Raises InvalidError."""
+    """Check that a value is a list of lists of numbers or a 2-D array, and return it as lists. Raises InvalidError."""
     return [numbers(f"{name}[{place}]", each) for place, each in enumerate(_items(name, value, "lists of numbers"))]
 
 
 def texts(name: str, value: object) -> list[str]:
-    """Return a checked list of strings. Raises InvalidError, also for a single string."""
+    """Check that a value is a list of strings, and return it. Raises InvalidError, also for a single string."""
     found = []
     for place, each in enumerate(_items(name, value, "texts")):
         if not isinstance(each, str):

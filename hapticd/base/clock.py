@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 CLOCK_READING_TRIES: Final = 3
-"""The clocks are read three times; the reading that took least time is used."""
+"""The clocks are read three times; the fastest reading is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Moment:
 
 
 def read() -> Moment:
-    """Read CLOCK_REALTIME between two readings of CLOCK_MONOTONIC; return the time of day and the mean of the two."""
+    """Return the present moment: CLOCK_REALTIME, and the mean of CLOCK_MONOTONIC read before and after it."""
     tries = []
     for _ in range(CLOCK_READING_TRIES):
         before = time.monotonic_ns()
@@ -37,7 +37,7 @@ def read() -> Moment:
 
 
 def moment_of(value: object) -> Moment | None:
-    """Return the moment in a received map with both clocks, or None if `value` is not such a map."""
+    """Return the moment in a received map with `monotonic_ns` and `realtime_ns`; None if `value` is not such a map."""
     if not isinstance(value, Mapping):
         return None
     monotonic_ns, realtime_ns = value.get("monotonic_ns"), value.get("realtime_ns")

@@ -46,7 +46,7 @@ def encode(value: object) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """An encoded value, as a sequence of byte strings. Large ones are shared, never copied."""
+    """An encoded value as consecutive byte strings, of which large ones are shared between messages, not copied."""
 
     parts: tuple[bytes, ...]
 
@@ -98,5 +98,5 @@ class Members:
 
 
 def _header_size(count: int) -> int:
-    """Return the size of the header of a map of `count` members, at most 65,535, in bytes."""
+    """Return the size in bytes of the header of a map with `count` members, at most 65,535."""
     return 1 if count < 16 else 3

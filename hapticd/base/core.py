@@ -1,8 +1,7 @@
 """The C core as Python sees it: `ffi`, `lib`, its records as numpy dtypes, its enums, and a few helpers.
 
 Only this module imports the compiled extension, except for one call in memory.py. Layouts, enums and constants come
-from the compiled code, never from a second definition here. `csrc/api/hd_api.h` documents every
-function and field.
+from the compiled code, never from a second definition here. `csrc/api/hd_api.h` documents every function and field.
 """
 
 import os
@@ -56,8 +55,8 @@ def _dtype_of(ctype: CType) -> np.dtype[Any]:
 def record_dtype(struct: str) -> np.dtype[np.void]:
     """Return the numpy dtype of a C struct such as "struct hd_mode": the same names, offsets and size.
 
-    Nested structs are nested dtypes, arrays are subarrays, pointers are addresses (`numpy.uintp`).
-    Raises `ffi.error` for an opaque struct or an unknown one.
+    Nested structs are nested dtypes, arrays are subarrays, pointers are addresses (`numpy.uintp`). Raises `ffi.error`
+    for an opaque or unknown struct.
     """
     return _dtype_of(ffi.typeof(struct))
 
@@ -74,25 +73,25 @@ NO_SLOT = lib.HD_NO_SLOT
 """Value of `slot` (index of an object) in an event or a reset that concerns no single object."""
 PLAY_SLOT = lib.HD_PLAY_SLOT
 """Value of `slot` (index of an object) for ringing modes that a `play` command started."""
-PASSIVITY_AGE_MAX: int = lib.HD_PASSIVITY_AGE_MAX
-"""Maximum age of a position report that the passivity observer accepts, in periods."""
+MAX_AGE_PERIODS: int = lib.HD_PASSIVITY_AGE_MAX
+"""Largest age of a position that the passivity observer accepts, in periods."""
 HISTOGRAM_EDGES_NS: tuple[int, ...] = tuple(map(lib.hd_histogram_edge_ns, range(lib.HD_HISTOGRAM_BINS - 1)))
 """Edges between the bins of the histograms of lateness and work, in ns. The first and the last bin have one edge."""
 MAX_PENDING_MARKS: int = lib.HD_MARKS
-"""Maximum number of marks that the servo has not answered yet; the ring of events has room for them."""
+"""Maximum number of marks that may wait for the servo: the ring of events has room for them."""
 MAX_CORRECTED_SAMPLES: int = lib.HD_KICKS
-"""Number of force samples at the beginning of a strike that compensation can correct."""
+"""Number of ticks from the beginning of a strike in which compensation can correct the force."""
 TUNE_NODE_NUMBERS: int = lib.HD_TUNE_NODE
 """Count of values that describe compensation at one frequency: enum hd_tune_number, csrc/scene/hd_table_numbers.h."""
 MAX_WAVEFORM_SAMPLES: int = lib.HD_WAVE_SAMPLES
 """Maximum number of samples of a tap's waveform."""
 WAVEFORM_PARTS: int = lib.HD_WAVE_PARTS
-"""Number of equal parts of a waveform in a table, which holds the largest magnitude after the start of each part."""
+"""Number of equal parts of a waveform; the table holds the largest magnitude after the start of each part."""
 MAX_FORCE_DELAY_FRAMES: int = lib.HD_SIM_FORCES
-"""Maximum delay of a force on its way to the simulated joystick, in intervals of the simulated link."""
+"""Largest delay of forces to the simulated joystick, in intervals of the simulated link."""
 
 
-# Names of C: enum hd_event_kind is EventKind, and HD_EVENT_CONTACT its CONTACT, without the prefix that all have.
+# Enums are named after those of C: enum hd_event_kind is EventKind, and HD_EVENT_CONTACT is EventKind.CONTACT.
 _DOC_OF_ENUM = {
     "Status": "Return value of a C function.",
     "Texture": "How a texture is displayed.",

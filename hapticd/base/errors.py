@@ -19,7 +19,7 @@ _MAX_SHOWN_CHARACTERS = 60
 _MAX_SHOWN_NAMES = 20
 """Largest number of known names that a message lists."""
 _MAX_COMPARED_NAMES = 64
-"""Largest number of known names among which similar ones are searched."""
+"""In a longer list of known names, similar names are not searched: each costs a comparison."""
 _MAX_SHOWN_PROBLEMS = 50
 """Largest number of faults that a message lists; the others are counted."""
 _LOCATION_PATTERN = re.compile(r"(.+?):(\d+):(\d+)(?:: |$)")
@@ -42,7 +42,7 @@ class Problem:
 
 
 class InvalidError(HapticdError):
-    """Input that is not valid; `problems` holds every fault that was found, by file and line."""
+    """Error for invalid input; `problems` holds every fault that was found, sorted by file and line."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = in_order(problems)
@@ -63,7 +63,7 @@ def in_order(problems: Iterable[Problem]) -> tuple[Problem, ...]:
 
 
 def lines_of(problems: Sequence[Problem]) -> list[str]:
-    """Return a line of text for each of the first 50 faults, and a line with the number of the others."""
+    """Return a line for each of the first 50 faults, and a line with the number of the others."""
     hidden = len(problems) - _MAX_SHOWN_PROBLEMS
     return [*map(str, problems[:_MAX_SHOWN_PROBLEMS]), *([f"and {hidden} more"] if hidden > 0 else [])]
 
@@ -130,10 +130,9 @@ def known_names(name: str, known: Iterable[str]) -> str:
     return f"known: {listed or 'none'}"
 
 
-def near_names(name: str, known: Sequence[str], most: int) -> list[str]:
-    """Return at most `most` known names that are similar to `name`, the most similar first, in any case of letters."""
-    # Each known name costs a comparison; for a long list the reader is better served by the list itself.
+def near_names(name: str, known: Sequence[str], max_count: int) -> list[str]:
+    """Return at most `max_count` known names that are similar to `name`, the most similar first; case is ignored."""
     if len(name) > 2 * _MAX_SHOWN_CHARACTERS or len(known) > _MAX_COMPARED_NAMES:
         return []
     folded = {each.casefold(): each for each in known}
-    return [folded[near] for near in difflib.get_close_matches(name.casefold(), folded, n=most)]
+    return [folded[near] for near in difflib.get_close_matches(name.casefold(), folded, n=max_count)]

@@ -54,7 +54,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
 def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
     """Raise HapticdError if an output cannot be written to `path`.
 
-    It cannot if a file exists there and `overwrite` is False, if it is not a regular file, or if its folder is missing.
+    The reasons: a file exists and `overwrite` is False, `path` is not a regular file, or its folder does not exist.
     """
     name = os.fspath(path)
     check_regular(name)
@@ -79,8 +79,8 @@ def atomic_file(
 ) -> Iterator[BinaryIO]:
     """Open a file to write, which gets the name `path` at the end of the `with` block; on failure `path` is unchanged.
 
-    With `synced` the file's data are on disk by then. If another file has appeared at `path` since `check_new` and
-    `overwrite` is False, the new file gets the next free name, and a HapticdError with this name is raised.
+    With `synced` the data are on disk before the file gets its name. If `path` is taken and `overwrite` is False, the
+    file gets the next free name, and a HapticdError with this name is raised.
     """
     check_regular(path)
     target = Path(os.path.realpath(path))
@@ -112,9 +112,9 @@ def create(path: Path, mode: int = 0o666, buffering: int = -1) -> BinaryIO:
 
 
 def rename_to_free_name(part: Path, target: Path, overwrite: bool) -> Path:
-    """Rename a finished file to `target`, or to NAME-2.ENDING and so on if that is taken, and return the path.
+    """Rename the file `part` to `target`, or if that name is taken, to NAME-2.ENDING and so on; return the new path.
 
-    With `overwrite` a regular file is replaced. Raises OSError; `part` is unchanged then.
+    With `overwrite` a regular file at `target` is replaced. If OSError is raised, `part` is unchanged.
     """
     for number in count(1):
         place = target if number == 1 else target.with_name(f"{target.stem}-{number}{target.suffix}")
@@ -127,7 +127,7 @@ def rename_to_free_name(part: Path, target: Path, overwrite: bool) -> Path:
 
 
 def _rename(part: Path, place: Path, overwrite: bool) -> None:
-    """Rename a file to `place`. Raises FileExistsError if the name is taken, even if only since a moment ago."""
+    """Rename a file to `place` without a race. Raises FileExistsError if another program has taken the name."""
     if overwrite and _not_regular(place) is None:
         os.replace(part, place)
         return
@@ -151,7 +151,7 @@ def _rename(part: Path, place: Path, overwrite: bool) -> None:
 
 
 def displaced(wanted: str | os.PathLike[str], place: str | os.PathLike[str]) -> str:
-    """Return the message about a file that was written to `place`, since the name `wanted` was taken."""
+    """Return the message that a file was written to `place`, because the name `wanted` was taken meanwhile."""
     return f"{os.fspath(wanted)}: another program created this file meanwhile; the output is in {os.fspath(place)}"
 
 

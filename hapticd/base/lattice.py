@@ -85,7 +85,7 @@ def _times(a: Sequence[Decimal], b: Sequence[Decimal]) -> list[Decimal]:
 
 
 def with_poles(reflection: Sequence[float], poles: Iterable[complex]) -> Reflection:
-    """Return the reflection coefficients of a filter with added poles. `poles` has one of each conjugate pair."""
+    """Return the reflection coefficients of a filter after `poles`, one of each conjugate pair, were added."""
     with localcontext(_LATTICE_CONTEXT):
         return _step_down(_times(_monic(poles), _step_up([Decimal(k) for k in reflection])))[0]
 
@@ -94,7 +94,8 @@ def realised(poles: Sequence[complex], zeros: Sequence[complex]) -> tuple[Reflec
     """Return reflection coefficients and lattice taps of a filter with output power 1 for white noise of power 1.
 
     `poles` and `zeros` have one of each conjugate pair; zeros may not outnumber poles. With the numerator written as
-    sum c_m B_m, and E_m = prod(1 - k_i^2), i <= m, the taps are c_m sqrt(E_m), m = 0 .. p, normalised.
+    sum c_m B_m, and E_m = prod(1 - k_i^2), i <= m, the taps are c_m sqrt(E_m), m = 0 .. p, normalised. Without zeros
+    the taps are None.
     """
     with localcontext(_LATTICE_CONTEXT):
         reflection, ladder = _step_down(_monic(poles))

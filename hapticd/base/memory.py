@@ -9,16 +9,14 @@ from hapticd._core import ffi, lib
 from hapticd.base.errors import HapticdError
 
 MIN_RETURNED_BLOCK_BYTES: Final = 16 * 1024
-"""Blocks of at least 16 KiB are returned to the kernel; a telemetry message at 10 kHz has 22 kB.
-
-These blocks then do not fragment the heap, because no smaller block is allocated between them.
-"""
+"""Blocks of at least 16 KiB are returned to the kernel when freed, so that they do not fragment the heap. A telemetry
+message at 10 kHz has 22 kB."""
 
 
-def return_large_blocks(large_block: int = MIN_RETURNED_BLOCK_BYTES) -> None:
-    """Have the C library take blocks of at least `large_block` bytes from the kernel, and return them when freed.
+def return_large_blocks(min_bytes: int = MIN_RETURNED_BLOCK_BYTES) -> None:
+    """Have the C library take blocks of at least `min_bytes` from the kernel, and return them when they are freed.
 
-    This holds for the process from now on. Raises HapticdError if the C library refuses the size.
+    The setting lasts until the process ends. Raises HapticdError if the C library refuses the size.
     """
-    if lib.hd_memory_large_from(large_block) != lib.HD_OK:
+    if lib.hd_memory_large_from(min_bytes) != lib.HD_OK:
         raise HapticdError(ffi.string(lib.hd_invalid_reason()).decode())

@@ -11,7 +11,7 @@ T = TypeVar("T")
 def merge_patch(target: Json, patch: Json) -> Json:
     """Return `target` with `patch` applied: mappings merge key by key, null removes a key, other values replace.
 
-    Neither argument is changed; the result may share unchanged parts with both.
+    Neither argument is changed; the result may share objects with both.
     """
     if not isinstance(patch, dict):
         return patch
@@ -25,7 +25,7 @@ def merge_patch(target: Json, patch: Json) -> Json:
 
 
 def replace_members(into: dict[str, T], changes: Mapping[str, T | None]) -> None:
-    """Replace each member of `into` by the member of `changes` with the same key; None removes it."""
+    """Write each member of `changes` into `into`; a value of None removes the member with this name."""
     for name, value in changes.items():
         if value is None:
             into.pop(name, None)

@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class DescribedAs:
-    """Annotation that describes a value in JSON Schema as another type; the code that uses the value validates it."""
+    """Annotation of a value that JSON Schema describes as the type `kind`, and that its user validates."""
 
     kind: Any
 
@@ -43,17 +43,17 @@ class DescribedAs:
         return handler(TypeAdapter(self.kind).core_schema)
 
 
-NAME_MAX_CHARACTERS = 64
+MAX_NAME_CHARACTERS = 64
 MAX_KEYS_OF_MAPPING: Final = 256
-"""Largest number of keys of a mapping; no model has as many."""
+"""Largest number of keys of a mapping; every model has fewer."""
 MAX_FAULTS = 200
-"""Largest number of faults that are reported, as reporting thousands takes seconds; the others are counted."""
+"""More faults than this are counted, not reported, because to report thousands takes seconds."""
 UNKNOWN_KEY: Final = "unknown key"
-"""Beginning of the fault text of a key that the model does not have."""
+"""Beginning of the text of a fault: a key that the model does not have."""
 NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
 """Pattern of a Name: neither dots nor control characters."""
 
-Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)]
+Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=MAX_NAME_CHARACTERS, pattern=NAME_PATTERN)]
 """Name of a material or id of an object: without a dot, which separates the keys of a path."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]
@@ -100,7 +100,7 @@ class Model(BaseModel):
 
     @classmethod
     def parsed(cls, data: object) -> Self:
-        """Return validated data as a model. Raises pydantic's ValidationError, without file and line."""
+        """Validate data and return the model. Raises pydantic's ValidationError, without file and line."""
         return super().model_validate(data)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -123,7 +123,7 @@ class Model(BaseModel):
 
 
 class CheckedTogether(Model):
-    """A model with keys that may be valid one by one but not in combination."""
+    """A model some of whose keys may be valid one by one but not in combination."""
 
     def cross_faults(self) -> list[str]:
         """Return a text for each invalid combination of keys."""
@@ -138,7 +138,7 @@ class CheckedTogether(Model):
 
 
 def one_of_two(model: Model, one: str, other: str) -> list[str]:
-    """Return the fault of a model in which not exactly one of two keys is given, as a list of at most one text."""
+    """Return [] if exactly one of two keys of a model is given, else a list with the text of the fault."""
     given = [key for key in (one, other) if getattr(model, key) is not None]
     has = "both" if given else "neither"
     return [] if len(given) == 1 else [f"needs exactly one of {one} and {other}, has {has}"]
@@ -180,8 +180,8 @@ def entry_by_entry(
 ) -> Steps[dict[str, T]]:
     """Parse a mapping, whose path is `where`, entry by entry: a generator that yields after each entry.
 
-    `parse` gets one entry at a time, since pydantic reports all faults of a call at once, and one entry may have
-    thousands. Raises InvalidError with the faults of all entries; after MAX_FAULTS the others are not read.
+    `parse` gets one entry at a time, because pydantic reports all faults of a call at once, possibly thousands. Raises
+    InvalidError with the faults of all entries; after MAX_FAULTS faults the other entries are not parsed.
     """
     found: dict[str, T] = {}
     problems: list[Problem] = []
@@ -200,7 +200,7 @@ def entry_by_entry(
 
 
 def refuse_many_keys(data: object, path: Path) -> None:
-    """Raise InvalidError if a mapping, at any depth, has too many keys: to report thousands would take seconds."""
+    """Raise InvalidError if a mapping in `data`, at any depth, has more than MAX_KEYS_OF_MAPPING keys."""
     if isinstance(data, dict) and len(data) > MAX_KEYS_OF_MAPPING:
         raise InvalidError(
             [Problem(path_text(path), f"has {len(data)} keys; at most {MAX_KEYS_OF_MAPPING} are allowed")]
@@ -212,7 +212,7 @@ def refuse_many_keys(data: object, path: Path) -> None:
 
 
 def at_most(count: int) -> BeforeValidator:
-    """Return a validator that refuses a longer list before its entries are validated, which would take seconds."""
+    """Return a validator that refuses a list with more than `count` entries, before it validates them one by one."""
 
     def check(given: object) -> object:
         if isinstance(given, list | tuple) and len(given) > count:
@@ -222,14 +222,14 @@ def at_most(count: int) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def check_count(given: Sized, most: int, path: Path) -> None:
-    """Raise InvalidError, for the place `path`, if the collection `given` has more than `most` entries."""
-    if len(given) > most:
-        raise InvalidError([Problem(path_text(path), _too_many(given, most))])
+def check_count(given: Sized, max_count: int, path: Path) -> None:
+    """Raise InvalidError if the collection `given`, whose place is `path`, has more than `max_count` entries."""
+    if len(given) > max_count:
+        raise InvalidError([Problem(path_text(path), _too_many(given, max_count))])
 
 
-def _too_many(given: Sized, most: int) -> str:
-    return f"must hold at most {most} entries, holds {len(given)}"
+def _too_many(given: Sized, max_count: int) -> str:
+    return f"must hold at most {max_count} entries, holds {len(given)}"
 
 
 def plain(data: object) -> Json:
@@ -283,13 +283,13 @@ _REPLACED_MESSAGES: Final = {
     "tuple_type": "should be a list",
     "union_tag_not_found": "Field required",
 }
-"""Texts by type of fault, which replace those of pydantic that name Python types."""
+"""Texts that replace pydantic's, which name Python types, by the type of a fault."""
 _KINDS_WITHOUT_VALUE: Final = frozenset({"missing", "too_long", "too_short", "union_tag_not_found"})
-"""Kinds of faults whose text already has the value, or that have no value."""
+"""Types of faults whose text contains the value already, or that have no value."""
 
 
 def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]:
-    """Return the path of a fault in the user's document, and pydantic's text with the value that was found."""
+    """Return the path of a fault in the user's document, and its text: pydantic's, with the invalid value."""
     kind, value, context = details["type"], details["input"], details.get("ctx", {})
     path, known = _user_path(model, details)
     if kind == "extra_forbidden":

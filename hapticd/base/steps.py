@@ -1,7 +1,6 @@
 """Long work as a generator, which yields between its parts, so that its thread can do something else meanwhile.
 
-The daemon's command thread changes a scene in this way, and answers other requests in the pauses
-(daemon/dispatch.py).
+The daemon's command thread changes a scene in this way, and answers other requests in between (daemon/dispatch.py).
 """
 
 from collections.abc import Generator
@@ -10,7 +9,7 @@ from typing import TypeAlias, TypeVar
 T = TypeVar("T")
 
 Steps: TypeAlias = Generator[None, None, T]
-"""Yields after each part, which takes milliseconds, and returns the result."""
+"""Generator that yields after each part of the work, a few milliseconds, and returns the result of the work."""
 
 
 def finish(steps: Steps[T]) -> T:

@@ -1,6 +1,6 @@
-"""Background threads, and whether they can be started: a user's limit of processes (RLIMIT_NPROC) counts each.
+"""Background threads, and whether they can be started: a user's limit of processes (RLIMIT_NPROC) counts threads.
 
-libzmq starts threads too, and aborts the process if the system refuses one, so `check` must be called earlier.
+libzmq also starts threads, and aborts the process if the system refuses one. So `check` must be called before.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DAEMON_THREADS: Final = 16
 """Upper bound of the threads of a daemon, which has most while it drives a device and reloads its configuration."""
 
 
-def refused() -> str:
+def refusal_text() -> str:
     """Return the error text for a thread that the system refused to start."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NPROC)
     of = "" if limit == resource.RLIM_INFINITY else f" of {limit} processes and threads"
@@ -41,7 +41,7 @@ def check(count: int) -> None:
             thread.start()
             started.append(thread)
     except RuntimeError:
-        raise HapticdError(refused()) from None
+        raise HapticdError(refusal_text()) from None
     finally:
         end.set()
         for thread in started:
@@ -50,7 +50,7 @@ def check(count: int) -> None:
 
 @functools.cache
 def check_client() -> None:
-    """Raise HapticdError unless a client's threads can be started; after a success it is not checked again."""
+    """Raise HapticdError unless a client's threads can be started; after a success, later calls check nothing."""
     check(CLIENT_THREADS)
 
 

@@ -32,7 +32,7 @@ def number(value: float, digits: int = DEFAULT_DIGITS) -> str:
 
 
 def count(amount: int, thing: str, things: str | None = None) -> str:
-    """Format a count: 1 period; 12,340 periods; 0 periods. `things` is a plural that is not formed by an s."""
+    """Format a count: 1 period; 12,340 periods; 0 periods. `things` is the plural if an added s does not form it."""
     return f"{amount:,} {thing if amount == 1 else things or thing + 's'}"
 
 

@@ -1,9 +1,11 @@
 """Reader of YAML: text in, plain data and line numbers out.
 
-Scalars follow the core schema of YAML 1.2.2 (10.3): `off` and `"1"` are strings, `1e-3` is a number.
-Errors, each with file, line and column: duplicate keys, keys that are not strings, aliases, tags outside the core
-schema, several documents, nesting beyond MAX_DEPTH, more than MAX_YAML_BYTES, bytes that are not UTF-8.
-`<<` has no special meaning. PyYAML only tokenises; data is built here from its events, without recursion.
+Scalars follow the core schema of YAML 1.2.2 (10.3): `off` and `"1"` are strings, `1e-3` is a number, and `<<` has no
+special meaning. Errors, each with file, line and column, are: duplicate keys, keys that are not strings, aliases, tags
+outside the core schema, several documents, nesting beyond MAX_DEPTH, a size above MAX_YAML_BYTES, and bytes that are
+not UTF-8.
+
+PyYAML only tokenises; data is built here from its events, without recursion.
 """
 
 import os
@@ -23,14 +25,14 @@ LINE_BREAKS = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
 MAX_DEPTH = 32
 """Maximum nesting of mappings and lists."""
 _TOO_DEEP = "exceeded maximum nesting depth"
-"""Text of the depth check in libyaml 0.2.6 or later (PyYAML 6.0.4), which may fail before the check of this module."""
+"""Text of the depth check of libyaml from 0.2.6 on (PyYAML 6.0.4), which may precede the check of this module."""
 MAX_YAML_BYTES = 2 * 1024 * 1024
 """Maximum size of a YAML file."""
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 """Plain data: what YAML, JSON and msgpack have in common."""
 
-# Both give the same events; the one of libyaml is about 20 times faster and is in every wheel of PyYAML.
+# Both loaders give the same events; that of libyaml is about 20 times faster and is in every wheel of PyYAML.
 _YAML_LOADER: "type[yaml.CBaseLoader] | type[yaml.BaseLoader]" = (
     yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
 )
@@ -41,10 +43,10 @@ _BOOL_PATTERN = re.compile(r"true|True|TRUE|false|False|FALSE")
 _INT_PATTERN = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT_PATTERN = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _MAX_NUMBER_CHARACTERS = 400
-"""Largest length of a number; a longer scalar is a string."""
+"""A longer scalar is a string, even if it consists of digits."""
 _TAG_DIRECTIVE = re.compile("(?:^|[\n\r\x85\u2028\u2029])%TAG")
 _MAX_TAG_DIRECTIVES = 16
-"""libyaml compares each %TAG directive with all before it, so its time grows with the square of their number."""
+"""More are refused: libyaml compares each directive with all before it, in a time of the square of their number."""
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _UNPRINTABLE_PATTERN = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -64,7 +66,7 @@ _NO_CHILDREN: dict[str | int, Marks] = {}
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A parsed document: its data, and the place of each value in the file; `name` is None without a file."""
+    """A parsed document: its data, and the place of each value in the file `name`, which is None without a file."""
 
     data: Json
     name: str | None = None
@@ -72,7 +74,7 @@ class Document:
     _above: tuple[str, ...] = ()
 
     def below(self, key: str) -> "Document":
-        """Return this document as the value of `key` in a larger one; lines and columns stay the same."""
+        """Return a document in which this one is the value of `key`; lines and columns stay the same."""
         return replace(self, data={key: self.data}, _above=(key, *self._above))
 
     def problem(self, path: Sequence[str | int], text: str) -> Problem:
@@ -93,7 +95,7 @@ class Document:
         return path[len(self._above) :]
 
     def where(self, path: Sequence[str | int]) -> str:
-        """Return the place of the value at `path`: `FILE:LINE:COLUMN: servo.rate_hz`, without a file only the path."""
+        """Return place and path of a value as text: `FILE:LINE:COLUMN: servo.rate_hz`, or without a file the path."""
         text = path_text(self.own(path))
         if self.name is None:
             return text
@@ -113,18 +115,18 @@ class _Open:
 def load_path(path: "str | os.PathLike[str]") -> Document:
     """Read a YAML file.
 
-    Raises InvalidError (one problem, `where` is FILE:LINE:COLUMN) for text that is refused, HapticdError for
-    a file that cannot be read.
+    Raises InvalidError (one problem, `where` is FILE:LINE:COLUMN) for text that is refused, HapticdError for a file
+    that cannot be read.
     """
     name = os.fspath(path)
     return load_bytes(read_file(name, MAX_YAML_BYTES), name)
 
 
-def read_file(name: str, most: int) -> bytes:
-    """Return the bytes of a file, or of one larger than `most` the first `most` + 1 bytes. Raises HapticdError."""
+def read_file(name: str, max_bytes: int) -> bytes:
+    """Return at most the first `max_bytes` + 1 bytes of a file. Raises HapticdError if it cannot be read."""
     try:
         with open(name, "rb") as file:
-            return file.read(most + 1)
+            return file.read(max_bytes + 1)
     except OSError as error:
         raise HapticdError(f"{printable(name)}: cannot be read: {error.strerror}") from None
     except ValueError as error:
@@ -132,16 +134,16 @@ def read_file(name: str, most: int) -> bytes:
 
 
 def load_bytes(content: bytes, name: str) -> Document:
-    """Parse a YAML document in UTF-8. Raises InvalidError as load_path does."""
+    """Parse a YAML document in UTF-8; `name` is the file's name in messages. Raises InvalidError as `load_path`."""
     if content.startswith(b"PK\x03\x04"):
         raise InvalidError([Problem(printable(name), "an archive, not YAML; for a recording use: hapticd replay")])
     return _parse(text_of(content, name, MAX_YAML_BYTES), name, _YAML_LOADER)
 
 
-def text_of(content: bytes, name: str, most: int) -> str:
-    """Decode the UTF-8 text of a file of at most `most` bytes. Raises InvalidError as load_path does."""
-    if len(content) > most:
-        raise _refusal(name, 0, 0, f"larger than {most} bytes")
+def text_of(content: bytes, name: str, max_bytes: int) -> str:
+    """Decode the UTF-8 text of the file `name`. Raises InvalidError if it is not UTF-8 or exceeds `max_bytes`."""
+    if len(content) > max_bytes:
+        raise _refusal(name, 0, 0, f"larger than {max_bytes} bytes")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -151,7 +153,7 @@ def text_of(content: bytes, name: str, most: int) -> str:
 
 
 def load_text(text: str, name: str) -> Document:
-    """Parse a YAML document; `name` is the file's name in messages. Raises InvalidError as load_path does."""
+    """Parse a YAML document; `name` is the file's name in messages. Raises InvalidError as `load_path`."""
     return load_bytes(text.encode("utf-8", "surrogatepass"), name)
 
 

@@ -27,7 +27,7 @@ def _block(mapping: Mapping[str, object], pad: str) -> list[str]:
 
 
 def flow_text(value: object) -> str:
-    """Return a plain value as YAML on one line."""
+    """Return plain data (scalars, lists, dicts) as YAML on one line."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{flow_text(key)}: {flow_text(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list):

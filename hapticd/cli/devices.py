@@ -29,7 +29,7 @@ from hapticd.hid.device_texts import unseen_reset_text
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
-    from hapticd.hid.discovery import Found
+    from hapticd.hid.discovery import SysfsDevice
     from hapticd.hid.verdict import Verdict
 
 _MAX_DESCRIPTOR_FILE_BYTES: Final = 1 << 20
@@ -87,7 +87,7 @@ def _hid_of(configs: tuple[str, ...]) -> Hid:
     return device.hid if device.kind == "hid" else Hid()
 
 
-def _verdict(item: Found) -> str:
+def _verdict(item: SysfsDevice) -> str:
     from hapticd.hid.device import PERMISSION_HINT
 
     why_not = item.verdict.why_not
@@ -101,7 +101,7 @@ def _verdict(item: Found) -> str:
     return text + (f"; but no permission: {PERMISSION_HINT}" if item.permission == "denied" else "")
 
 
-def _selected(device: str | None, found: Sequence[Found], what: str) -> Found:
+def _selected(device: str | None, found: Sequence[SysfsDevice], what: str) -> SysfsDevice:
     """Return the device with this path or VENDOR:PRODUCT, or the only device in `found`.
 
     `what` is the predicate of the devices in errors, such as "can be driven".
@@ -284,7 +284,7 @@ def _lines(verdict: Verdict) -> Iterator[str]:
         pushed = [name for name, step_n in zip("xy", plan.force_steps_n, strict=True) if step_n > 0.0]
         along = f"forces: along {' and '.join(pushed)}{' only' if len(pushed) == 1 else ''}"
         # A device that is driven by vendor reports (device.hid.report) has no effects.
-        yield along if plan.foreign_s is None else f"{along}, by {wording.count(len(plan.renew), 'effect')}"
+        yield along if plan.foreign_effect_s is None else f"{along}, by {wording.count(len(plan.renew), 'effect')}"
         yield from filter(None, [plan.leak_text])
     if verdict.layout is None:
         yield f"the report descriptor is not valid: {verdict.problem}"

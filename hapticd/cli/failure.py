@@ -50,7 +50,7 @@ def _message(error: Exception, as_json: bool) -> str:
 
             if str(error) != threads.THREAD_START_ERROR:
                 raise error
-            text = threads.refused()
+            text = threads.refusal_text()
     return collapse_whitespace(text)
 
 

@@ -389,7 +389,9 @@ class Methods:
     def _log_reload(self, level: int, line: str) -> None:
         """Log the outcome of a reload, at most one line a second: a client may request hundreds."""
         self.repeats.note(
-            f"reload {level}", lambda since: _log.log(level, "%s%s", line, since.more), longest_s=MIN_REPEAT_INTERVAL_S
+            f"reload {level}",
+            lambda since: _log.log(level, "%s%s", line, since.more),
+            max_interval_s=MIN_REPEAT_INTERVAL_S,
         )
 
     def _dump_flight(self, _: NoParams) -> dict[str, object]:
@@ -552,7 +554,7 @@ class Methods:
 
     def _off_because(self, faults: Fault) -> str:
         signs = self._engine.counters().signs
-        words = FAULT_REASONS | ({"signs": signs.seen} if signs.seen else {})
+        words = FAULT_REASONS | ({"signs": signs.problem_text} if signs.problem_text else {})
         reasons = " and ".join(words[name] for name in fault_names(faults))
         if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
             return f"forces are off because {reasons}: {SIGNS_REMEDY}"

@@ -10,7 +10,7 @@ from typing import Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs, Verdict, fail, ok, warn
 from hapticd.hid.device_texts import unseen_reset_text
-from hapticd.hid.discovery import Found, event_nodes, is_open_to_others, is_selected
+from hapticd.hid.discovery import SysfsDevice, event_nodes, is_open_to_others, is_selected
 
 _UDEV_RULE_FILE: Final = "70-hapticd.rules"
 _UDEV_RULE_FOLDERS: Final = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
@@ -18,13 +18,13 @@ _MAX_LISTED_NAMES: Final = 4
 """A line of output lists at most this many programs or event nodes."""
 
 
-def _evaluated_devices(machine: Machine, needs: Needs) -> list[Found]:
+def _evaluated_devices(machine: Machine, needs: Needs) -> list[SysfsDevice]:
     """Return the HID devices, each with its verdict for the configured joystick if `needs` has one."""
     devices = machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
     return devices if needs.device is None else [device.evaluated_by(needs.device) for device in devices]
 
 
-def _drivable_devices(machine: Machine, needs: Needs) -> list[Found]:
+def _drivable_devices(machine: Machine, needs: Needs) -> list[SysfsDevice]:
     return [device for device in _evaluated_devices(machine, needs) if device.usable]
 
 
@@ -60,12 +60,12 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
             yield Finding("joystick", verdict, f"this user may not drive {name}", todo)
 
 
-def _node_path(device: Found) -> str:
-    """Return the path of the device's node as it is on the machine, without the root folder of a test."""
+def _node_path(device: SysfsDevice) -> str:
+    """Return the path of the device's node on the machine, without the root folder of the checks."""
     return f"/dev/{Path(device.path).name}"
 
 
-def _service_may_open(machine: Machine, device: Found) -> bool:
+def _service_may_open(machine: Machine, device: SysfsDevice) -> bool:
     """Return whether the service is installed and may open the device as a member of the group `input`."""
     try:
         status = os.stat(device.path)
@@ -113,7 +113,7 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def _node_users(machine: Machine) -> tuple[dict[str, set[str]], int]:
-    """Return the names of other programs' processes by the file they have open, and how many could not be read."""
+    """Return the names of other programs' processes by the path of an open file, and the number of hidden processes."""
     users: dict[str, set[str]] = {}
     hidden = 0
     for pid in machine.names("/proc", r"\d+"):
@@ -135,6 +135,6 @@ def _node_users(machine: Machine) -> tuple[dict[str, set[str]], int]:
 
 
 def _kernel_offers_effects(machine: Machine, inputs: str) -> bool:
-    """Return whether the kernel's own driver offers effects (EV_FF) of the device to other programs."""
+    """Return whether the kernel offers a device's effects (EV_FF); `inputs` is the device's folder `input` in sysfs."""
     masks = [machine.text(f"{inputs}/{entry}/capabilities/ff") for entry in machine.names(inputs, r"input\d+")]
     return any(mask and mask.replace(" ", "").strip("0") for mask in masks)

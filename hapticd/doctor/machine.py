@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from hapticd.base.errors import HapticdError
-from hapticd.hid.discovery import Found, find
+from hapticd.hid.discovery import SysfsDevice, find
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
 
 _MAX_FILE_BYTES: Final = 1 << 18
-"""At most this much of a file is read; the kernel's configuration, the largest of them, is smaller."""
+"""At most this much of a file is read; the largest file, the kernel's configuration, is smaller."""
 _COMMAND_TIMEOUT_S: Final = 5.0
 """A command that runs for longer, such as systemctl, is killed and counts as unanswered."""
 
@@ -30,7 +30,7 @@ Verdict = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of a check, one line of output: name and verdict of the check, what it found, and what to do."""
+    """The result of a check, one line of output: its name, its verdict, what was found, and what to do about it."""
 
     name: str
     verdict: Verdict
@@ -57,7 +57,7 @@ def fail(name: str, what: str, todo: str) -> Finding:
 
 
 def unknown(name: str, why: str) -> Finding:
-    """Return a warning that a check has no result; `why` says which source of information is missing."""
+    """Return a warning that a check has no result; `why` says what cannot be read."""
     return Finding(name, "warn", f"not known: {why}")
 
 
@@ -88,10 +88,10 @@ def command_output(words: Sequence[str]) -> str | None:
 
 
 def socket_holder(path: Path) -> tuple[int, bool] | None:
-    """Return the process that listens on a Unix socket, and whether it is stopped by SIGSTOP or by a debugger.
+    """Return the id of the process that listens on a Unix socket, and whether SIGSTOP or a debugger has stopped it.
 
-    Returns None if no process listens there or if this is not known. Never blocks. Raises HapticdError if the
-    listener's queue of connections is full.
+    Returns None if no process listens there, or if it is not known. Never blocks. Raises HapticdError if the process's
+    queue of connections is full.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as own:
         try:
@@ -132,11 +132,11 @@ class Machine:
     version: str = ""
     """The version of the installed package."""
     may_write: Callable[[Path], bool] = lambda path: os.access(path, os.W_OK)
-    find: Callable[[Path, Path], list[Found]] = find
+    find: Callable[[Path, Path], list[SysfsDevice]] = find
     """Lists HID devices, given the folders /sys/class/hidraw and /dev."""
 
     def path(self, name: str) -> Path:
-        """Return the path, below the checks' root folder, of the file with this absolute path on the machine."""
+        """Return where the file with the absolute path `name` is below the root of the checks."""
         return self.root / name.lstrip("/")
 
     def text(self, name: str) -> str | None:
@@ -158,7 +158,7 @@ class Machine:
 
 
 def parse_cpu_list(text: str) -> set[int]:
-    """Return the processor numbers of a list as the kernel writes it, such as 0-3,6."""
+    """Return the processor numbers in a list that the kernel has written, such as 0-3,6."""
     found: set[int] = set()
     for part in text.split(","):
         first, _, last = part.strip().partition("-")

@@ -26,7 +26,7 @@ _FAST_CLOCK_SOURCES: Final = (
 """Clock sources of the kernel that take only nanoseconds to read, without a trap or an I/O port."""
 
 _MIN_REALTIME_SHARE: Final = 0.5
-"""There is a warning if the kernel grants real-time tasks less than this fraction of the time."""
+"""A warning is given if the kernel grants real-time tasks less than this fraction of the time."""
 _CAP_IPC_LOCK: Final = 14
 _CAP_SYS_NICE: Final = 23
 """Numbers of the capabilities in linux/capability.h."""
@@ -39,7 +39,7 @@ _LIMITS_HINT: Final = (
 )
 
 _MAX_IDLE_EXIT_US: Final = 50
-"""An idle state with a longer exit latency counts as deep: half of the 100 us that a tick at 10 kHz has."""
+"""An idle state with a longer exit latency counts as deep: half of the 100 us of a period at 10 kHz."""
 
 
 # ---- The kernel ------------------------------------------------------------------------------------------------------
@@ -81,7 +81,7 @@ def _preemption_model(machine: Machine, version: str) -> str | None:
 
 
 def _kernel_config(machine: Machine) -> str | None:
-    """Return the configuration that the kernel was built with; None if it cannot be read."""
+    """Return the build configuration of the kernel (CONFIG_...); None if it cannot be read."""
     release = machine.text("/proc/sys/kernel/osrelease") or ""
     found = machine.text(f"/boot/config-{release}") or machine.text(f"/lib/modules/{release}/config")
     if found is None:
@@ -94,7 +94,7 @@ def _kernel_config(machine: Machine) -> str | None:
 
 
 def throttling(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Check the share of the time that the kernel grants to real-time tasks."""
+    """Check which fraction of the time the kernel grants to real-time tasks."""
     texts = [machine.text(f"/proc/sys/kernel/sched_rt_{name}_us") for name in ("runtime", "period")]
     try:
         runtime, period = (int(text or "") for text in texts)

@@ -18,7 +18,7 @@ _JOURNAL_HINT = "journalctl -u hapticd shows why"
 
 
 def configuration(chosen: ConfigFiles) -> tuple[Config, Finding]:
-    """Return the chosen configuration and an ok; if it cannot be loaded, the built-in configuration and a failure."""
+    """Return the chosen configuration and an `ok`; if it cannot be loaded, the built-in one and a failure."""
     from hapticd.config.configuration import chosen_config, default_config
 
     try:
@@ -55,7 +55,7 @@ def unit(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def daemon(machine: Machine, needs: Needs) -> Iterator[Finding]:
-    """Check whether a daemon answers, its version, its missing real-time rights, and its faults."""
+    """Check whether a daemon answers, and its version, missing real-time rights and faults."""
     try:
         status = machine.daemon()
     except HapticdError as error:

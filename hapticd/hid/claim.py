@@ -25,7 +25,7 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_regular
-from hapticd.hid.discovery import Found, event_nodes, is_open_to_others
+from hapticd.hid.discovery import SysfsDevice, event_nodes, is_open_to_others
 
 CLAIM_RULES_PATH: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
 """Sorts after 70-uaccess, which tags joysticks for the user at the seat, and before 73-seat-late, which uses tags."""
@@ -35,8 +35,8 @@ REBIND_TIMEOUT_S: Final = 5.0
 _UDEVADM_TIMEOUT_S: Final = 5.0
 """Time limit of one udevadm command."""
 _ACL_ATTRIBUTE: Final = "system.posix_acl_access"
-"""The attribute with the access list by which udev opens a device node to the user at the seat."""
-_HIDDEN_BY_RULE: Final = ": only root may open its event nodes already, because of a line in 70-hapticd.rules"
+"""Extended attribute with the access list by which udev lets the user at the seat open a device node."""
+_HIDDEN_BY_RULE: Final = ": a line in 70-hapticd.rules already lets only root open its event nodes"
 
 Write = Callable[[Path, str], None]
 
@@ -61,54 +61,54 @@ class Claims:
         self._rules = root / CLAIM_RULES_PATH
 
     def names(self) -> list[str]:
-        """Return the claimed devices that are plugged in, by their names in /sys/bus/hid/devices."""
+        """Return the names in /sys/bus/hid/devices of the claimed devices that are plugged in."""
         try:
             text = self._rules.read_text(encoding="utf-8") if self._rules.is_file() else ""
         except OSError:
             return []
         named = dict.fromkeys(re.findall(r'KERNELS=="([0-9A-F:.]+)"', text))
-        return [name for name in named if self._device(name).exists()]
+        return [name for name in named if self._folder(name).exists()]
 
-    def claim(self, found: Found) -> str:
+    def claim(self, device: SysfsDevice) -> str:
         """Keep other programs off a device, and return the name of its new kernel driver. Raises HapticdError."""
-        name, claimed = self._name(found), self.names()
+        name, claimed = self._name(device), self.names()
         if name in claimed:
-            raise HapticdError(f"{found} is already claimed; `hapticd devices release {found.path}` releases it")
+            raise HapticdError(f"{device} is already claimed; `hapticd devices release {device.path}` releases it")
         if self._is_root_only(name):
-            raise HapticdError(f"{found}{_HIDDEN_BY_RULE}")
-        driver = self._rebind(found, claimed, [*claimed, name], GENERIC_DRIVER)
+            raise HapticdError(f"{device}{_HIDDEN_BY_RULE}")
+        driver = self._rebind(device, claimed, [*claimed, name], GENERIC_DRIVER)
         for node in self.nodes(name):
             _hide(node)
         return driver
 
-    def release(self, found: Found) -> str:
+    def release(self, device: SysfsDevice) -> str:
         """Let other programs use a device again, and return the name of its new kernel driver. Raises HapticdError."""
-        name, claimed = self._name(found), self.names()
+        name, claimed = self._name(device), self.names()
         if name not in claimed:
-            raise HapticdError(f"{found} is not claimed{_HIDDEN_BY_RULE if self._is_root_only(name) else ''}")
-        return self._rebind(found, claimed, [other for other in claimed if other != name], None)
+            raise HapticdError(f"{device} is not claimed{_HIDDEN_BY_RULE if self._is_root_only(name) else ''}")
+        return self._rebind(device, claimed, [other for other in claimed if other != name], None)
 
-    def nodes(self, name: str) -> list[Path]:
-        """Return the event and joystick nodes of a device."""
-        return [self._root / "dev" / "input" / node for node in event_nodes(self._device(name))]
+    def nodes(self, hid_name: str) -> list[Path]:
+        """Return the paths of a device's event and joystick nodes; `hid_name` is its name in /sys/bus/hid/devices."""
+        return [self._root / "dev" / "input" / node for node in event_nodes(self._folder(hid_name))]
 
-    def path(self, name: str) -> str | None:
-        """Return the hidraw node of a device; None while it does not exist."""
-        entry = next(iter(sorted(self._device(name).glob("hidraw/hidraw*"))), None)
+    def path(self, hid_name: str) -> str | None:
+        """Return the path of a device's hidraw node; None while the node does not exist."""
+        entry = next(iter(sorted(self._folder(hid_name).glob("hidraw/hidraw*"))), None)
         return None if entry is None else str(self._root / "dev" / entry.name)
 
     # ---- The steps ---------------------------------------------------------------------------------------------------
 
-    def _device(self, name: str) -> Path:
+    def _folder(self, name: str) -> Path:
         return self._root / "sys/bus/hid/devices" / name
 
-    def _name(self, found: Found) -> str:
-        if not found.hid_name:
-            raise HapticdError(f"{found}: sysfs has no HID device for this node")
-        return found.hid_name
+    def _name(self, device: SysfsDevice) -> str:
+        if not device.hid_name:
+            raise HapticdError(f"{device}: sysfs has no HID device for this node")
+        return device.hid_name
 
     def _driver(self, name: str) -> str:
-        driver = self._device(name) / "driver"
+        driver = self._folder(name) / "driver"
         return driver.resolve().name if driver.exists() else ""
 
     def _write_rules(self, names: Sequence[str]) -> None:
@@ -127,12 +127,12 @@ class Claims:
         nodes = self.nodes(name)
         return bool(nodes) and not any(map(is_open_to_others, nodes))
 
-    def _rebind(self, found: Found, before: Sequence[str], after: Sequence[str], driver: str | None) -> str:
-        """Write the rules of the devices `after`, bind a device to another driver, and return the driver's name.
+    def _rebind(self, device: SysfsDevice, before: Sequence[str], after: Sequence[str], driver: str | None) -> str:
+        """Write the rules for the devices `after`, bind a device to another driver, and return the driver's name.
 
-        If that fails, the rules of the devices `before` are restored. If `driver` is None, the kernel chooses one.
+        If that fails, the rules for the devices `before` are restored. If `driver` is None, the kernel chooses one.
         """
-        name = found.hid_name
+        name = device.hid_name
         try:
             self._write_rules(after)
             try:
@@ -143,7 +143,7 @@ class Claims:
                 self._write_rules(before)
                 raise
         except PermissionError:
-            raise HapticdError(f"{found}: no permission to unbind it from its driver: use sudo") from None
+            raise HapticdError(f"{device}: no permission to unbind it from its driver: use sudo") from None
         return self._driver(name)
 
     def _bind(self, name: str, driver: str | None) -> None:
@@ -162,7 +162,7 @@ class Claims:
 
 
 def _rule(name: str) -> str:
-    """Return the udev rules that give the event and joystick nodes of one device to root."""
+    """Return two udev rules, which give the event and joystick nodes of one device to root."""
     return (
         f'SUBSYSTEM=="input", KERNELS=="{name}", ENV{{ID_INPUT_JOYSTICK}}="", TAG-="uaccess"\n'
         f'SUBSYSTEM=="input", KERNEL=="event*|js*", KERNELS=="{name}", GROUP:="root", MODE:="0600"\n'

@@ -29,16 +29,14 @@ RECONNECT_INTERVAL_S: Final = 0.25
 READY_TIMEOUT_S: Final = 0.25
 """After a device was set up again, its actuators must be on within this time."""
 READY_POLL_INTERVAL_S: Final = 0.02
-"""Interval of the checks whether the actuators are on. It also passes before the first check, because the device
-reports the reset that is part of a set-up."""
+"""Interval of the checks whether the actuators are on. The first check also waits for it, because the device may still
+report the reset that is part of the set-up."""
 FIRST_REPORTS_TIMEOUT_S: Final = 0.15
-"""A device that sends the same input report twice within this time also reports while nothing changes.
-
-`start` waits at most this time for the first position."""
+"""Longest wait for the first position, and for two equal reports, which show that a device reports steadily."""
 PLAYING_REPORT_TIMEOUT_S: Final = 1.0
-"""A device whose PID State has the field Effect Playing must report within this time that an effect plays."""
+"""If a device has not reported by then that an effect plays, resets by other programs are taken to stay unnoticed."""
 STOP_TIMEOUT_S: Final = 2.0
-"""At its end the daemon waits at most this long for a set-up in progress."""
+"""At the end of the daemon, a set-up in progress is abandoned after this time."""
 _RATE_INTERVAL_S: Final = 1.0
 """The rates of reports and forces are averaged over about this time."""
 
@@ -55,7 +53,7 @@ class Opened:
     out_interval_s: float | None = None
     """Polling interval of the USB endpoint for output reports; None if it is not known."""
     on_change: bool | None = None
-    """Whether the device reports only changes; None if `_connect` has to find this out from its reports."""
+    """Whether the device reports only changes; None if this must be found out from the device's reports."""
     measure: bool = True
     """Whether to measure, during set-up, the rate at which the device accepts output reports."""
     identity: str = ""
@@ -79,13 +77,13 @@ class _LiveConnection:
     def resets_seen(self, has_played: bool) -> bool | None:
         """Return whether a reset by another program would be noticed.
 
-        Returns None if this is not known yet, or if the device keeps no effects. `has_played` says whether the device
-        has reported that one of hapticd's effects plays.
+        Returns None if this is not known yet, or if the device has no effects (vendor reports). `has_played` says
+        whether the device has reported that one of hapticd's effects plays.
         """
-        if self.plan.foreign_s is None:
+        if self.plan.foreign_effect_s is None:
             return None
-        asked = self.plan.effects is not None and time.monotonic() - self.since_s < PLAYING_REPORT_TIMEOUT_S
-        return True if has_played else None if asked else False
+        may_follow = self.plan.effects is not None and time.monotonic() - self.since_s < PLAYING_REPORT_TIMEOUT_S
+        return True if has_played else None if may_follow else False
 
 
 class Connection:
@@ -100,7 +98,7 @@ class Connection:
         """Create a connection that is not open yet.
 
         `priority` is the SCHED_FIFO priority of C's threads, 0 for none. The reports that stop the device are written
-        to `stop_file`. `check` checks the signs of each device before its first force; None trusts them.
+        to `stop_file`. With `check`, C checks before a device's first force whether forces push the right way.
         """
         made = lib.hd_hid_new()
         if made == ffi.NULL:
@@ -197,7 +195,7 @@ class Connection:
             "strikes_lost": raw.strikes_lost,
             "resets": self._resets,
             "resets_seen": seen,
-            "foreign_effect_s": live.plan.foreign_s if live is not None and seen is False else None,
+            "foreign_effect_s": live.plan.foreign_effect_s if live is not None and seen is False else None,
             "connects": self._connects,
             "states": states,
         }
@@ -313,8 +311,8 @@ class Connection:
     def _recover(self) -> None:
         """Set up the device again after a reset.
 
-        If the set-up results in the same plan, with the same Effect Block Indices, C keeps the connection, and
-        only the forces during the set-up are lost. The set-up is repeated while the device keeps its actuators off.
+        If the set-up results in the same plan, with the same Effect Block Indices, C keeps the connection, and only the
+        forces during the set-up are lost. The set-up is repeated while the device keeps its actuators off.
         """
         live = self._live
         assert live is not None
@@ -369,9 +367,9 @@ def _disconnect_reason(raw: CData) -> str:
 
 
 def _reports_steadily(device: Device, numbered: bool, stop: threading.Event) -> bool:
-    """Return whether a device sends the same input report twice in succession.
+    """Return whether a device repeats an input report within FIRST_REPORTS_TIMEOUT_S, and so reports steadily.
 
-    Such a device also reports while nothing changes, so a pause in its reports is a fault.
+    A pause in the reports of such a device is a fault.
     """
     last: dict[int, bytes] = {}
     deadline = time.monotonic() + FIRST_REPORTS_TIMEOUT_S

@@ -19,8 +19,8 @@ from hapticd.hid.plan import DeviceError, Plan
 PERMISSION_HINT: Final = (
     "install systemd/70-hapticd.rules into /etc/udev/rules.d and plug the device in again, or run as the node's owner"
 )
-MAX_REPORT_BYTES: Final = 4096
-"""Longest input report that is read, in bytes; joysticks send far shorter ones."""
+MAX_INPUT_REPORT_BYTES: Final = 4096
+"""Length to which input reports are read; joysticks send far shorter ones."""
 
 
 class Device(Protocol):
@@ -48,7 +48,7 @@ class Device(Protocol):
         ...
 
     def listen(self, timeout_s: float) -> bytes:
-        """Return the next input report, which `fileno` also provides; empty if none arrives within `timeout_s`."""
+        """Return the next input report, which `fileno` yields, too; empty if none arrives within `timeout_s`."""
         ...
 
     def close(self) -> None:
@@ -65,7 +65,7 @@ class Driver(Protocol):
 
 
 def arrived_reports(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
-    """Yield the input reports of a device that arrive within `within_s`; if it is 0, those that are queued.
+    """Yield the input reports of a device that arrive within `within_s`; 0 yields those that are already queued.
 
     Raises DeviceError if the device is gone.
     """
@@ -74,7 +74,7 @@ def arrived_reports(fd: int, within_s: float = 0.0) -> Iterator[bytes]:
     until_s = time.monotonic() + within_s
     try:
         while poll.poll(1e3 * max(0.0, until_s - time.monotonic())):
-            report = os.read(fd, MAX_REPORT_BYTES)
+            report = os.read(fd, MAX_INPUT_REPORT_BYTES)
             if not report:
                 raise DeviceError("the device is gone")
             yield report
@@ -140,7 +140,7 @@ class HidrawDevice:
     def listen(self, timeout_s: float) -> bytes:
         """Return the next input report; empty if none arrives within `timeout_s`."""
         try:
-            return bytes(self._hidapi.read(MAX_REPORT_BYTES, max(1, round(1e3 * timeout_s))))
+            return bytes(self._hidapi.read(MAX_INPUT_REPORT_BYTES, max(1, round(1e3 * timeout_s))))
         except OSError:
             raise DeviceError(f"{self._path}: the device is gone") from None
 

@@ -1,10 +1,10 @@
-"""Texts for users about device effects and about devices that do not report resets."""
+"""Texts for users about device effects, and about devices that do not report resets."""
 
 from collections.abc import Mapping
 
 
 def offload_text(outcome: Mapping[str, object]) -> str:
-    """Return a line that says whether the device plays a tap or rupture, and if not, why it is streamed.
+    """Return a line that says whether the device plays a tap or rupture, and if not, why the mode is streamed.
 
     `outcome` is an element of `offload` in the protocol's status.
     """
@@ -14,12 +14,12 @@ def offload_text(outcome: Mapping[str, object]) -> str:
     return f"{name}: played by the device at {outcome['shown_hz']:g} Hz, {outcome['error_percent']:.2g} % off"
 
 
-def unseen_reset_text(node: str, foreign_s: object = None) -> tuple[str, str]:
+def unseen_reset_text(node: str, effect_s: object = None) -> tuple[str, str]:
     """Return two texts on a device that does not report which effects play: what may happen, and the remedy.
 
-    `foreign_s` is the longest time, in s, that another program's effect can replace hapticd's effect; None if unknown.
+    `effect_s` is the longest time, in s, for which another program's effect can replace hapticd's; None if unknown.
     """
-    lasts = f"; an effect that it uploads lasts up to {1e3 * foreign_s:.0f} ms" if isinstance(foreign_s, float) else ""
+    lasts = f"; an effect that it uploads lasts up to {1e3 * effect_s:.0f} ms" if isinstance(effect_s, float) else ""
     return (
         f"{node} does not report which of its effects play: a reset by another program is not noticed{lasts}",
         f"`hapticd devices claim {node}` keeps other programs off",

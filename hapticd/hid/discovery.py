@@ -9,6 +9,7 @@ import os
 import re
 import stat
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, Literal
@@ -25,12 +26,12 @@ DEV_FOLDER: Final = Path("/dev")
 _BUS_NAMES: Final = {3: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
 """Names of the buses by their numbers in linux/input.h."""
 _MAX_REASONS: Final = 3
-"""An error gives the reasons of at most this many devices that cannot be driven."""
+"""An error says for at most this many devices why they cannot be driven."""
 _LIST_HINT: Final = "`hapticd devices` lists the HID devices"
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SysfsDevice:
     """A HID device, as sysfs describes it."""
 
     path: str
@@ -67,13 +68,12 @@ class Found:
 
     @property
     def resets_seen(self) -> bool | None:
-        """Whether the device's PID State report shows which effects play, and so a reset by another program.
+        """Whether the descriptor has a report (PID State) by which a reset by another program would be noticed.
 
-        None if the device cannot be driven, or has no effects (vendor reports). A device may declare PID State in its
-        descriptor and never send it.
+        None if the device cannot be driven, or has no effects (vendor reports). Some devices never send this report.
         """
         plan = self.verdict.plan
-        return None if plan is None or plan.foreign_s is None else plan.effects is not None
+        return None if plan is None or plan.foreign_effect_s is None else plan.effects is not None
 
     def __str__(self) -> str:
         return f"{self.path} ({self.name or 'no name'}, {self.vendor:04x}:{self.product:04x})"
@@ -89,8 +89,8 @@ class Found:
         layout = self.verdict.layout
         return layout is None or layout.constant_force is None
 
-    def evaluated_by(self, hid: Hid) -> Found:
-        """Return this device with its verdict for `hid`; unchanged if that configuration selects another."""
+    def evaluated_by(self, hid: Hid) -> SysfsDevice:
+        """Return this device with its verdict for `hid`; unchanged if that configuration selects another device."""
         return replace(self, hid=hid) if hid != self.hid and is_selected(hid, self) else self
 
     def to_dict(self) -> dict[str, object]:
@@ -109,22 +109,20 @@ class Found:
         }
 
 
-def find(sysfs: Path = HIDRAW_SYSFS, dev: Path = DEV_FOLDER) -> list[Found]:
-    """Return all hidraw devices, in the order of their numbers. A device that is unplugged meanwhile is left out."""
+def find(sysfs: Path = HIDRAW_SYSFS, dev: Path = DEV_FOLDER) -> list[SysfsDevice]:
+    """Return all hidraw devices, in the order of their numbers, except those that are unplugged meanwhile."""
     try:
         names = [name for name in os.listdir(sysfs) if re.fullmatch(r"hidraw\d+", name)]
     except OSError:
         return []
-    found = []
+    devices = []
     for name in sorted(names, key=lambda text: int(text[6:])):
-        try:
-            found.append(_read_device(sysfs / name, dev / name))
-        except OSError:
-            continue
-    return found
+        with suppress(OSError):
+            devices.append(_read_device(sysfs / name, dev / name))
+    return devices
 
 
-def choose(hid: Hid, found: Sequence[Found]) -> Found:
+def choose(hid: Hid, devices: Sequence[SysfsDevice]) -> SysfsDevice:
     """Return the one device that the configuration selects.
 
     Raises DeviceError if it selects no device or several, or if the device cannot be driven or opened.
@@ -136,11 +134,11 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
         if value is not None
     ]
     text = f" with {', '.join(wanted)}" if wanted else ""
-    meant = [item.evaluated_by(hid) for item in found if is_selected(hid, item)]
-    if not meant:
-        others = f"; there are {_listed(found)}" if found and wanted else ""
+    selected = [device.evaluated_by(hid) for device in devices if is_selected(hid, device)]
+    if not selected:
+        others = f"; there are {_listed(devices)}" if devices and wanted else ""
         raise DeviceError(f"no HID device{text} is connected{others}; {_LIST_HINT}")
-    usable = [item for item in meant if item.usable]
+    usable = [device for device in selected if device.usable]
     if len(usable) > 1:
         raise DeviceError(
             f"several HID devices{text} can be driven: {_listed(usable)}; "
@@ -148,37 +146,35 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
         )
     if not usable:
         # Devices with force feedback, and those that the configuration names or describes.
-        expected = [item for item in meant if not item.lacks_forces or hid.names_one or hid.report is not None]
-        if not expected and len(meant) > 1:
-            raise DeviceError(
-                f"no HID device{text} can be driven: none of {_listed(meant)} is a force-feedback device; {_LIST_HINT}"
-            )
-        shown = (expected or meant)[:_MAX_REASONS]
-        whys = "; ".join(f"{item} cannot be driven: {item.verdict.why_not}" for item in shown)
-        described = hid.report is not None or not any(item.lacks_forces for item in shown)
+        expected = [one for one in selected if not one.lacks_forces or hid.names_one or hid.report is not None]
+        if not expected and len(selected) > 1:
+            listed = f"none of {_listed(selected)} is a force-feedback device"
+            raise DeviceError(f"no HID device{text} can be driven: {listed}; {_LIST_HINT}")
+        shown = (expected or selected)[:_MAX_REASONS]
+        whys = "; ".join(f"{device} cannot be driven: {device.verdict.why_not}" for device in shown)
+        described = hid.report is not None or not any(device.lacks_forces for device in shown)
         hint = "" if described else "; a device outside the PID class needs device.hid.report"
         raise (UndrivableError if expected else DeviceError)(f"{whys}{hint}")
-    one = usable[0]
-    if one.permission == "denied":
-        raise DeviceError(f"{one}: no permission: {PERMISSION_HINT}")
-    return one
+    if usable[0].permission == "denied":
+        raise DeviceError(f"{usable[0]}: no permission: {PERMISSION_HINT}")
+    return usable[0]
 
 
-def _listed(found: Sequence[Found]) -> str:
-    return ", ".join(map(str, found[:8])) + (", ..." if len(found) > 8 else "")
+def _listed(devices: Sequence[SysfsDevice]) -> str:
+    return ", ".join(map(str, devices[:8])) + (", ..." if len(devices) > 8 else "")
 
 
-def is_selected(hid: Hid, item: Found) -> bool:
+def is_selected(hid: Hid, device: SysfsDevice) -> bool:
     """Return whether vendor, product, serial number and path in the configuration fit this device."""
     return (
-        hid.vendor in (None, item.vendor)
-        and hid.product in (None, item.product)
-        and hid.serial in (None, item.serial)
-        and (hid.path is None or os.path.realpath(hid.path) == os.path.realpath(item.path))
+        hid.vendor in (None, device.vendor)
+        and hid.product in (None, device.product)
+        and hid.serial in (None, device.serial)
+        and (hid.path is None or os.path.realpath(hid.path) == os.path.realpath(device.path))
     )
 
 
-def _read_device(entry: Path, node: Path) -> Found:
+def _read_device(entry: Path, node: Path) -> SysfsDevice:
     device = entry / "device"
     uevent = dict(line.split("=", 1) for line in _text(device / "uevent").splitlines() if "=" in line)
     bus, vendor, product = (int(part, 16) for part in uevent.get("HID_ID", "0:0:0").split(":"))
@@ -186,7 +182,7 @@ def _read_device(entry: Path, node: Path) -> Found:
     intervals = _endpoint_intervals(device.resolve().parent)
     absent = not node.exists()
     denied = not absent and not os.access(node, os.R_OK | os.W_OK)
-    return Found(
+    return SysfsDevice(
         path=str(node),
         name=uevent.get("HID_NAME", ""),
         vendor=vendor & 0xFFFF,
@@ -209,15 +205,13 @@ def _text(path: Path) -> str:
 
 def _endpoint_intervals(interface: Path) -> dict[str, float]:
     """Return the intervals of the interrupt endpoints of a USB interface, in s, by direction: "in", "out"."""
-    found: dict[str, float] = {}
+    intervals: dict[str, float] = {}
     for endpoint in sorted(interface.glob("ep_*")):
-        try:
+        with suppress(OSError):
             match = re.fullmatch(r"(\d+)(ms|us)", _text(endpoint / "interval").strip())
             if match and _text(endpoint / "type").strip() == "Interrupt":
-                found[_text(endpoint / "direction").strip()] = int(match[1]) * (1e-3 if match[2] == "ms" else 1e-6)
-        except OSError:
-            continue
-    return found
+                intervals[_text(endpoint / "direction").strip()] = int(match[1]) * (1e-3 if match[2] == "ms" else 1e-6)
+    return intervals
 
 
 # ---- Event and joystick nodes, by which other programs use a device --------------------------------------------------
@@ -240,7 +234,7 @@ def _number(entry: Path) -> tuple[int, str]:
 
 
 def is_open_to_others(node: Path) -> bool:
-    """Return whether users other than its owner may use a node; False if it does not exist."""
+    """Return whether users other than the owner may use a device node; False if it does not exist."""
     try:
         return bool(os.stat(node).st_mode & (stat.S_IRWXG | stat.S_IRWXO))
     except OSError:

@@ -19,11 +19,11 @@ from hapticd.hid.device import Device
 from hapticd.hid.plan import Plan
 
 MAX_FOREIGN_EFFECT_S: Final = 0.1
-"""Target for the longest time that another program's effect can replace hapticd's effect; a slow link takes longer."""
+"""Target for the longest time for which another program's effect can replace hapticd's; a slow link exceeds it."""
 MAX_RESTORE_SHARE: Final = 1 / 3
-"""Largest share of the output reports that a device accepts to be spent on restoring effects."""
+"""At most this fraction of the output reports is used to restore effects."""
 WRITER_DELAY_S: Final = 0.005
-"""Time added to the plan's `foreign_s`, because the system may delay the thread that writes forces by as much."""
+"""Assumed longest delay of the thread that writes forces; included in the plan's `foreign_effect_s`."""
 _MAX_MEASURED_FORCES: Final = 8
 """Largest number of forces that are sent to measure the rate."""
 _MEASUREMENT_TIMEOUT_S: Final = 0.05
@@ -32,10 +32,7 @@ _MEASUREMENT_TIMEOUT_S: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """Limits of the rate at which a device accepts forces, each None if it is not known.
-
-    A force may consist of several reports.
-    """
+    """Limits of the rate at which a device accepts forces (of one or more reports each); None if not known."""
 
     endpoint_hz: float | None
     """Limit that follows from the interval of the USB endpoint for output reports."""
@@ -52,7 +49,7 @@ class Link:
         )
 
     def carried_hz(self, servo_hz: float) -> float | None:
-        """Return the rate of forces that reach the device; None if it is not below the servo's rate."""
+        """Return the rate at which forces reach the device, in Hz; None if unknown, or not below the servo's rate."""
         rate_hz = self.rate_hz
         return None if rate_hz is None or rate_hz >= servo_hz else rate_hz
 
@@ -79,11 +76,11 @@ def measured_force_hz(device: Device, plan: Plan) -> float | None:
 
 
 def plan_paced_for_link(plan: Plan, force_hz: float | None) -> Plan:
-    """Return the plan with `restore_s` and `foreign_s` for a device that accepts `force_hz` forces a second.
+    """Return the plan with `restore_s` and `foreign_effect_s` for a device that accepts `force_hz` forces a second.
 
-    If `force_hz` is None, this rate has no limit.
+    None stands for a rate without a limit. A plan without effects is returned unchanged.
     """
-    if plan.foreign_s is None:
+    if plan.foreign_effect_s is None:
         return plan
     report_s = 0.0 if force_hz is None else 1.0 / (force_hz * max(1, len(plan.force)))
     # Time of the messages that may be sent before the next one that restores an effect.
@@ -95,4 +92,6 @@ def plan_paced_for_link(plan: Plan, force_hz: float | None) -> Plan:
     full_s = count * (len(plan.force) + 1) * report_s
     renewals = min(count, math.floor(full_s / plan.renew_s) + 1)
     full_s += renewals * len(plan.renew) * report_s + WRITER_DELAY_S
-    return replace(plan, restore_s=gap_s, foreign_s=max(max(count * gap_s, plan.foreign_s) + held_up_s, full_s))
+    return replace(
+        plan, restore_s=gap_s, foreign_effect_s=max(max(count * gap_s, plan.foreign_effect_s) + held_up_s, full_s)
+    )

@@ -19,17 +19,17 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.config.modes import Mode
-from hapticd.hid.plan import Numbers, Scale
+from hapticd.hid.plan import PeriodicScales, Scale
 from hapticd.rendering.displayability import DISPLAYABLE_RATE_FRACTION
 
 MAX_EFFECT_S: Final = 0.1
 """Longest duration of an effect. If the daemon is killed, an effect ends only by its duration."""
 COMPARED_DECAY_TIMES: Final = 6.0
 """Effect and mode are compared over this many decay times of the mode."""
-TRIED_TIMES: Final = 50
-"""About this many values are tried for each time of the envelope; if the time has fewer counts, all of them."""
+TRIED_COUNTS: Final = 50
+"""About this many counts are tried for each duration of the envelope, or all counts if it has fewer."""
 _SAMPLES_PER_CYCLE: Final = 24
-"""Effect and mode are compared at this many samples per cycle, within the two limits below."""
+"""Effect and mode are compared at this many samples per cycle, within the limits below of the total number."""
 _MIN_COMPARED_SAMPLES: Final = 3000
 _MAX_COMPARED_SAMPLES: Final = 200_000
 _LEVEL_SUBSETS: Final = tuple(chain.from_iterable(combinations(range(3), size) for size in (1, 2, 3)))
@@ -40,7 +40,7 @@ _Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class NearestEffect:
-    """The nearest effect to a mode with an initial amplitude of 1 N: times in counts of the device, levels in N."""
+    """The device effect nearest to a mode with an initial amplitude of 1 N: levels in N, times in counts."""
 
     period: int
     duration: int
@@ -77,21 +77,21 @@ class _TriedTimes(NamedTuple):
 
 
 @lru_cache(maxsize=1024)
-def nearest_effect(mode: Mode, numbers: Numbers) -> NearestEffect | None:
-    """Return the nearest effect to a mode that a device with these fields can play; None if it can play no effect."""
-    times = _tried_times(min(COMPARED_DECAY_TIMES * mode.decay_time_s, MAX_EFFECT_S), numbers)
+def nearest_effect(mode: Mode, scales: PeriodicScales) -> NearestEffect | None:
+    """Return the effect nearest to a mode, for a device with fields of these scales; None if it can play no effect."""
+    times = _tried_times(min(COMPARED_DECAY_TIMES * mode.decay_time_s, MAX_EFFECT_S), scales)
     if not len(times.end_s):
         return None
     best: NearestEffect | None = None
-    nearest = numbers.period.counts(1.0 / mode.frequency_hz)
-    for period in sorted({*range(nearest - 1, nearest + 2)}):
-        period_s = numbers.period.quantity(period)
-        if not numbers.period.least <= period <= numbers.period.most or period_s <= 0.0:
+    nearest = scales.period.counts(1.0 / mode.frequency_hz)
+    for period in range(nearest - 1, nearest + 2):
+        period_s = scales.period.quantity(period)
+        if not scales.period.min_counts <= period <= scales.period.max_counts or period_s <= 0.0:
             continue
         gram, product, power = _products(mode, period_s, times)
         levels = _non_negative_levels(gram, product)
         at = int(np.argmax(np.einsum("ij,ij->i", levels, product)))
-        shown = _rounded_levels(levels[at], numbers)
+        shown = _rounded_levels(levels[at], scales)
         error = math.sqrt(max(0.0, float(power - 2.0 * shown @ product[at] + shown @ gram[at] @ shown)) / power)
         if best is None or error < best.error:
             best = NearestEffect(
@@ -110,10 +110,10 @@ def nearest_effect(mode: Mode, numbers: Numbers) -> NearestEffect | None:
 
 
 def streamed_error(mode: Mode, carried_hz: float) -> float:
-    """Return the relative RMS error of a mode that is streamed: sent as forces, each of which is held until the next.
+    """Return the relative RMS error of a mode that is sent as `carried_hz` forces a second, each held until the next.
 
-    It is sqrt(2 - 2 sin(h) / h) with h = w / (2 rate) and the mode's angular frequency w, the error of a steady sine
-    after its delay is removed. A mode whose frequency is above 0.4 of the rate is muted or replaced: the error is 1.
+    The error is sqrt(2 - 2 sin(h) / h) with h = w / (2 carried_hz) and the mode's angular frequency w: that of a steady
+    sine after its delay is removed. It is 1 above 0.4 of the rate, where the mode is muted or replaced.
     """
     if mode.frequency_hz > DISPLAYABLE_RATE_FRACTION * carried_hz:
         return 1.0
@@ -121,22 +121,22 @@ def streamed_error(mode: Mode, carried_hz: float) -> float:
     return math.sqrt(max(0.0, 2.0 - 2.0 * math.sin(half) / half))
 
 
-def _tried_counts(scale: Scale, longest_s: float) -> npt.NDArray[np.int64]:
-    """Return about TRIED_TIMES evenly spaced counts of a time field, for times from 0 to `longest_s`."""
-    first, last = scale.counts(0.0), scale.counts(longest_s)
-    return np.arange(first, last + 1, max(1, round((last - first) / TRIED_TIMES)))
+def _tried_counts(scale: Scale, max_s: float) -> npt.NDArray[np.int64]:
+    """Return about TRIED_COUNTS evenly spaced counts of a time field, for times from 0 to `max_s`."""
+    first, last = scale.counts(0.0), scale.counts(max_s)
+    return np.arange(first, last + 1, max(1, round((last - first) / TRIED_COUNTS)))
 
 
-def _tried_times(longest_s: float, numbers: Numbers) -> _TriedTimes:
-    durations, attacks = _tried_counts(numbers.duration, longest_s), _tried_counts(numbers.attack_time, longest_s)
+def _tried_times(max_s: float, scales: PeriodicScales) -> _TriedTimes:
+    durations, attacks = _tried_counts(scales.duration, max_s), _tried_counts(scales.attack_time, max_s)
     duration, attack = (grid.ravel() for grid in np.meshgrid(durations, attacks, indexing="ij"))
-    end_s, attack_s = numbers.duration.quantity(duration), numbers.attack_time.quantity(attack)
-    fade_time = numbers.fade_time
+    end_s, attack_s = scales.duration.quantity(duration), scales.attack_time.quantity(attack)
+    fade_time = scales.fade_time
     # The longest fade that begins after the attack.
     counts = np.floor((end_s - attack_s) * fade_time.counts_per_unit + fade_time.zero_counts + 1e-6)
-    fade = np.clip(counts, fade_time.least - 1, fade_time.most).astype(np.int64)
+    fade = np.clip(counts, fade_time.min_counts - 1, fade_time.max_counts).astype(np.int64)
     fade_from_s = np.maximum(end_s - fade_time.quantity(fade), attack_s)
-    is_valid = (end_s > 0.0) & (attack_s >= 0.0) & (attack_s < end_s) & (fade >= fade_time.least)
+    is_valid = (end_s > 0.0) & (attack_s >= 0.0) & (attack_s < end_s) & (fade >= fade_time.min_counts)
     return _TriedTimes(
         duration[is_valid], attack[is_valid], fade[is_valid], attack_s[is_valid], fade_from_s[is_valid], end_s[is_valid]
     )
@@ -185,7 +185,7 @@ def _products(mode: Mode, period_s: float, times: _TriedTimes) -> tuple[_Floats,
 
 
 def _non_negative_levels(gram: _Floats, product: _Floats) -> _Floats:
-    """Return the levels [n][3] by non-negative least squares: the best valid solution of all `_LEVEL_SUBSETS`."""
+    """Return the levels [n][3] of a non-negative least-squares fit: the best valid solution over `_LEVEL_SUBSETS`."""
     best, gained = np.zeros_like(product), np.zeros(len(product))
     for subset in _LEVEL_SUBSETS:
         rows = list(subset)
@@ -202,16 +202,13 @@ def _non_negative_levels(gram: _Floats, product: _Floats) -> _Floats:
     return best
 
 
-def _rounded_levels(levels: _Floats, numbers: Numbers) -> _Floats:
-    """Return the levels rounded to the device's counts as in the strongest strike that the fields can hold."""
-    full_n = max_coefficient_n(float(levels.max()), numbers)
-    scales = (numbers.attack_level, numbers.magnitude, numbers.fade_level)
-    shown = [scale.quantity(scale.counts(level * full_n)) for scale, level in zip(scales, levels, strict=True)]
+def _rounded_levels(levels: _Floats, scales: PeriodicScales) -> _Floats:
+    """Return the levels, for a mode of 1 N, as rounded at the largest amplitude that the fields can hold."""
+    full_n = max_coefficient_n(float(levels.max()), scales)
+    shown = [scale.quantity(scale.counts(level * full_n)) for scale, level in zip(scales.levels, levels, strict=True)]
     return np.array(shown) / full_n
 
 
-def max_coefficient_n(peak: float, numbers: Numbers) -> float:
-    """Return the largest amplitude of a mode, in N, for which every field of a level can hold `peak` times it."""
-    return min(scale.largest for scale in (numbers.attack_level, numbers.magnitude, numbers.fade_level)) / max(
-        peak, 1e-9
-    )
+def max_coefficient_n(peak: float, scales: PeriodicScales) -> float:
+    """Return the largest amplitude of a mode, in N, for which `peak` times the amplitude fits every level field."""
+    return min(scale.max_quantity for scale in scales.levels) / max(peak, 1e-9)

@@ -21,7 +21,7 @@ from hapticd.hid.nearest_effect import NearestEffect, max_coefficient_n, nearest
 from hapticd.hid.plan import Message, Periodic, Scale, Value
 
 MAX_EFFECT_ERROR: Final = 0.2
-"""Largest relative RMS error of an effect that is used in place of a mode."""
+"""Largest relative RMS error of an effect that replaces a mode; a mode with a larger one is streamed."""
 
 
 class EffectUse(NamedTuple):
@@ -29,13 +29,13 @@ class EffectUse(NamedTuple):
 
     id: int
     peak: float
-    """Largest level of the effect's envelope, divided by the mode's initial amplitude (its coefficient)."""
+    """Largest level of the effect's envelope, as a multiple of the mode's initial amplitude (its coefficient)."""
     duration_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Offloaded:
-    """Whether and how the device plays a tap or rupture of a material. Unknown properties of the effect are None."""
+    """Whether and how the device plays a tap or rupture of a material. Without an effect, its properties are None."""
 
     material: str
     mode: str
@@ -93,7 +93,7 @@ class Offload:
             known = self._periodic
             if known is None or periodic is None:
                 self._problem = problem
-            elif (known.numbers, len(known.blocks)) != (periodic.numbers, len(periodic.blocks)):
+            elif (known.scales, len(known.blocks)) != (periodic.scales, len(periodic.blocks)):
                 periodic, self._problem = None, "the device that is connected now has other effects"
             self._periodic = periodic if known is None else known if periodic is None else periodic
             self._attached = periodic is not None
@@ -110,14 +110,14 @@ class Offload:
     # ---- The thread that changes the scene -----------------------------------------------------------------------
 
     def set_carried(self, carried_hz: float) -> None:
-        """Set the rate in Hz at which forces reach the device; the error of a streamed mode depends on it."""
+        """Set the rate at which forces reach the device, in Hz, on which the error of a streamed mode depends."""
         self._carried_hz = carried_hz
 
     def take(self, mode: Mode) -> EffectUse | None:
         """Register a use of a mode, and return the device effect played in its place; None if the mode is streamed."""
         with self._lock:
             if mode not in self._nearest and self._periodic is not None:
-                self._nearest[mode] = nearest_effect(mode, self._periodic.numbers)
+                self._nearest[mode] = nearest_effect(mode, self._periodic.scales)
             denied = self._uses[mode] > 0 and mode not in self._held
             self._uses[mode] += 1
             held = None if denied else self._assign(mode)
@@ -134,7 +134,7 @@ class Offload:
                 self._nearest.pop(mode, None)
 
     def settle(self) -> None:
-        """Pass newly assigned effects to C, which uploads them to the device."""
+        """Pass all assigned effects to C, which uploads them to the device, if `take` has assigned a new one."""
         with self._lock:
             if self._changed:
                 self._offer()
@@ -146,7 +146,7 @@ class Offload:
             return None if held is None else held.effect.frequency_hz
 
     def outcomes(self, materials: Mapping[str, Material]) -> list[Offloaded]:
-        """Return for each tap and rupture of these materials, all registered by `take`, whether the device plays it."""
+        """Return whether the device plays each tap and rupture of these materials; `take` must have registered them."""
         found: list[Offloaded] = []
         for name, material in materials.items():
             if material.tap is not None:
@@ -171,7 +171,7 @@ class Offload:
             streamed = 100.0 * streamed_error(mode, self._carried_hz)
             if periodic is None:
                 return Offloaded(material, use, mode.frequency_hz, None, None, None, None, streamed, self._problem)
-            numbers = periodic.numbers
+            scales = periodic.scales
             nearest = self._nearest.get(mode)
             refused = _refusal_reason(nearest, mode, self._carried_hz)
             if refused is None and not self._attached:
@@ -183,8 +183,8 @@ class Offload:
                 use,
                 mode.frequency_hz,
                 nearest.frequency_hz if nearest is not None else None,
-                numbers.period.resolution,
-                max(scale.resolution for scale in (numbers.duration, numbers.attack_time, numbers.fade_time)),
+                scales.period.resolution,
+                max(scale.resolution for scale in (scales.duration, scales.attack_time, scales.fade_time)),
                 None if nearest is None else 100.0 * nearest.error,
                 streamed,
                 refused,
@@ -196,12 +196,9 @@ class Offload:
         held = self._held.pop(mode, None)
         if held is None:
             nearest = self._nearest.get(mode)
-            if (
-                self._periodic is None
-                or nearest is None
-                or _refusal_reason(nearest, mode, self._carried_hz) is not None
-            ):
+            if self._periodic is None or _refusal_reason(nearest, mode, self._carried_hz) is not None:
                 return None
+            assert nearest is not None
             place = self._free_place(len(self._periodic.blocks))
             if place is None:
                 return None
@@ -244,10 +241,10 @@ def _refusal_reason(nearest: NearestEffect | None, mode: Mode, carried_hz: float
 
 def _for_c(held: _AssignedEffect, periodic: Periodic) -> dict[str, object]:
     """Return an assigned effect as the members of C's `struct hd_device_effect`."""
-    numbers, shape = periodic.numbers, held.effect
+    scales, shape = periodic.scales, held.effect
     messages = [message.for_c() for message in effect_messages(shape, periodic, held.place)]
-    largest_n = max_coefficient_n(shape.peak, numbers)
-    finest_n = min(level.resolution for level in (numbers.attack_level, numbers.magnitude, numbers.fade_level))
+    largest_n = max_coefficient_n(shape.peak, scales)
+    finest_n = min(level.resolution for level in scales.levels)
     return {
         "id": held.id,
         "place": held.place,
@@ -262,21 +259,22 @@ def _for_c(held: _AssignedEffect, periodic: Periodic) -> dict[str, object]:
 
 
 def effect_messages(shape: NearestEffect, periodic: Periodic, place: int) -> tuple[Message, ...]:
-    """Return Set Effect, Set Envelope, Set Periodic and the start (Effect Operation) of the device's effect `place`.
+    """Return the messages that play the effect `shape` in `periodic.blocks[place]`, the last of which starts it.
 
-    The force that C writes into these messages is the mode's initial amplitude (its coefficient) as a vector.
+    They are Set Effect, Set Envelope, Set Periodic and Effect Operation. The force that C writes into them is the
+    mode's initial amplitude (its coefficient) as a vector.
     """
-    numbers, block = periodic.numbers, periodic.blocks[place]
+    scales, block = periodic.scales, periodic.blocks[place]
     effect, envelope, period = bytearray(block.set_effect.data), bytearray(block.envelope), bytearray(block.periodic)
-    numbers.duration.bits.put(effect, shape.duration)
-    numbers.attack_time.bits.put(envelope, shape.attack)
-    numbers.fade_time.bits.put(envelope, shape.fade)
-    numbers.period.bits.put(period, shape.period)
-    levels = (_level(numbers.attack_level, shape.attack_level), _level(numbers.fade_level, shape.fade_level))
+    scales.duration.bits.put(effect, shape.duration)
+    scales.attack_time.bits.put(envelope, shape.attack)
+    scales.fade_time.bits.put(envelope, shape.fade)
+    scales.period.bits.put(period, shape.period)
+    levels = (_level(scales.attack_level, shape.attack_level), _level(scales.fade_level, shape.fade_level))
     return (
         Message(bytes(effect), block.set_effect.values),
         Message(bytes(envelope), levels),
-        Message(bytes(period), (_level(numbers.magnitude, shape.magnitude),)),
+        Message(bytes(period), (_level(scales.magnitude, shape.magnitude),)),
         block.start,
     )
 
@@ -284,5 +282,5 @@ def effect_messages(shape: NearestEffect, periodic: Periodic, place: int) -> tup
 def _level(scale: Scale, level: float) -> Value:
     counts_per_n = scale.counts_per_unit * level
     return Value(
-        scale.bits, HidQuantity.MAGNITUDE, counts_per_n, scale.zero_counts, round(scale.zero_counts), scale.most
+        scale.bits, HidQuantity.MAGNITUDE, counts_per_n, scale.zero_counts, round(scale.zero_counts), scale.max_counts
     )

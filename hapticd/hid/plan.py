@@ -20,15 +20,15 @@ from hapticd.hid.signs import Signs
 Counts = TypeVar("Counts", float, npt.NDArray[Any])
 
 STILL_AXIS_M_PER_COUNT: Final = 1e-15
-"""Resolution of the missing axis of a handle that has only one: its motion is negligible at any count."""
+"""Position step of the missing axis of a handle with one axis: its motion is negligible at any count."""
 
 
 class DeviceError(HapticdError):
-    """Error for a device that cannot be driven; its text is one line."""
+    """Error of a device that is absent or gone, refuses a report, or cannot be driven; its text is one line."""
 
 
 class UndrivableError(DeviceError):
-    """Error for a connected device for which no plan can be made, so that trying again is useless."""
+    """Error of a connected device that cannot be driven, so that trying again is useless."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +46,12 @@ class Bits:
         return self.bit_offset + self.bit_size
 
     @property
-    def least(self) -> int:
+    def min_counts(self) -> int:
         """The smallest number that the field can hold."""
         return -(1 << (self.bit_size - 1)) if self.signed else 0
 
     @property
-    def most(self) -> int:
+    def max_counts(self) -> int:
         """The largest number that the field can hold."""
         return (1 << (self.bit_size - self.signed)) - 1
 
@@ -85,7 +85,7 @@ class AxisPlan:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A number in a message: quantity * counts_per_unit + zero_counts, rounded, and limited to `least` to `most`.
+    """A number in a message: quantity * counts_per_unit + zero_counts, from `min_counts` to `max_counts`, rounded.
 
     If the quantity is the force along one axis, the force along the other axis times `counts_per_other_n` is added.
     """
@@ -94,8 +94,8 @@ class Value:
     quantity: HidQuantity
     counts_per_unit: float
     zero_counts: float
-    least: float
-    most: float
+    min_counts: float
+    max_counts: float
     counts_per_other_n: float = 0.0
 
 
@@ -110,7 +110,7 @@ class Message:
         """Return the report for a force of zero."""
         report = bytearray(self.data)
         for value in self.values:
-            value.bits.put(report, min(max(round(value.zero_counts), round(value.least)), round(value.most)))
+            value.bits.put(report, min(max(round(value.zero_counts), round(value.min_counts)), round(value.max_counts)))
         return bytes(report)
 
     def for_c(self) -> dict[str, object]:
@@ -138,19 +138,20 @@ class PlayingBits:
     indices: tuple[int, ...]
     """Effect Block Indices of hapticd's effects."""
     proof: int
-    """Number of renewals that together take longer than an effect's duration. Once the device has reported over
-    `proof` renewals that an effect plays, each loss of an effect that it reports counts; before, only the first."""
+    """Number of consecutive renewals, longer in total than an effect, after which reports of lost effects are trusted:
+    the device has reported over these renewals that an effect plays. Before, only the first reported loss counts,
+    because some devices do not report that a renewal restarts an effect."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The scale of a field of a report: quantity * counts_per_unit + zero_counts, limited to `least` to `most`."""
+    """The scale of a field: counts = quantity * counts_per_unit + zero_counts, from `min_counts` to `max_counts`."""
 
     bits: Bits
     counts_per_unit: float
     zero_counts: float
-    least: int
-    most: int
+    min_counts: int
+    max_counts: int
 
     @property
     def resolution(self) -> float:
@@ -158,13 +159,13 @@ class Scale:
         return 1.0 / self.counts_per_unit
 
     @property
-    def largest(self) -> float:
+    def max_quantity(self) -> float:
         """The field's quantity at its largest count."""
-        return self.quantity(self.most)
+        return self.quantity(self.max_counts)
 
     def counts(self, quantity: float) -> int:
         """Return the nearest count to a quantity, within the limits."""
-        return min(max(round(quantity * self.counts_per_unit + self.zero_counts), self.least), self.most)
+        return min(max(round(quantity * self.counts_per_unit + self.zero_counts), self.min_counts), self.max_counts)
 
     def quantity(self, counts: Counts) -> Counts:
         """Return the quantity that a count stands for, or each count of an array."""
@@ -172,8 +173,8 @@ class Scale:
 
 
 @dataclass(frozen=True, slots=True)
-class Numbers:
-    """The fields of a periodic effect with their scales: times in s, levels in N."""
+class PeriodicScales:
+    """The scales of the fields of a periodic effect: times in s, levels in N."""
 
     duration: Scale
     attack_time: Scale
@@ -182,6 +183,11 @@ class Numbers:
     magnitude: Scale
     attack_level: Scale
     fade_level: Scale
+
+    @property
+    def levels(self) -> tuple[Scale, Scale, Scale]:
+        """The scales of attack level, magnitude and fade level."""
+        return self.attack_level, self.magnitude, self.fade_level
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +206,7 @@ class PeriodicBlock:
 class Periodic:
     """The periodic effects that were created on the device, to be played in place of modes."""
 
-    numbers: Numbers
+    scales: PeriodicScales
     blocks: tuple[PeriodicBlock, ...]
 
 
@@ -229,18 +235,18 @@ class Plan:
     renew_s: float = 0.04
     restore_s: float = 0.04
     """Interval between two messages of `restore`."""
-    foreign_s: float | None = None
-    """The longest time, in s, that another program's effect can replace hapticd's, if the device does not report which
-    effects play; None without effects. Until `link.plan_paced_for_link` sets it, it accounts for renewals only."""
+    foreign_effect_s: float | None = None
+    """The longest time for which another program's effect can replace hapticd's, if the device does not report which
+    effects play; None without effects. Until `link.plan_paced_for_link` sets it, only renewals are considered."""
     write_interval_s: float = 0.0
     """Shortest interval between two output reports; 0 means as fast as the device accepts them."""
     periodic: Periodic | None = None
     no_periodic: str = "the device has no periodic effects"
     """Why `periodic` is None."""
     leak: float = 0.0
-    """Largest fraction of a force that acts at right angles to it, because directions are rounded to counts."""
+    """Largest fraction of a force that acts at right angles to the force, because directions are rounded to counts."""
     signs: Signs | None = None
-    """Parameters of the check, before the scene's first force, whether forces push the right way; None skips it."""
+    """Parameters of the check whether forces push the right way, before the scene's first force; None: no check."""
 
     @property
     def resolution_m(self) -> float:
@@ -302,7 +308,7 @@ class Plan:
             raise DeviceError(f"the device needs more or longer reports than hapticd can send: {error}") from None
 
 
-_C_MEMBER_NAMES: Final = {"bits": "field", "signed": "is_signed"}
+_C_MEMBER_NAMES: Final = {"bits": "field", "signed": "is_signed", "min_counts": "least", "max_counts": "most"}
 """Names in C of members that have another name here."""
 
 

@@ -23,7 +23,7 @@ from typing import Any, Final
 from hapticd.base.errors import HapticdError, collapse_whitespace, shown
 from hapticd.base.files import write_atomically
 from hapticd.config.hid import Replay
-from hapticd.hid.device import MAX_REPORT_BYTES, arrived_reports
+from hapticd.hid.device import MAX_INPUT_REPORT_BYTES, arrived_reports
 from hapticd.hid.plan import DeviceError
 
 RECORDING_VERSION: Final = 1
@@ -31,7 +31,7 @@ RECORDING_VERSION: Final = 1
 _HEADER_MEMBERS: Final = ("recording", "name", "vendor", "product", "descriptor")
 """Members of the map in a recording's first line, all required."""
 MIN_ROUND_PAUSE_S: Final = 1e-3
-"""Shortest pause before a recording is repeated, so that one of zero length does not keep a processor busy."""
+"""Shortest pause before a recording is repeated, so that a recording of zero length does not keep a processor busy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +106,8 @@ def _report(value: list[Any], before_s: float) -> tuple[float, bytes]:
     time_s, report = float(value[0]), bytes.fromhex(value[1])
     if not before_s <= time_s <= 1e6:
         raise ValueError(f"the time must be between {before_s:g} and 1e+06 s, is {shown(value[0])}")
-    if not 0 < len(report) <= MAX_REPORT_BYTES:
-        raise ValueError(f"a report must have 1 to {MAX_REPORT_BYTES} bytes, this one has {len(report)}")
+    if not 0 < len(report) <= MAX_INPUT_REPORT_BYTES:
+        raise ValueError(f"a report must have 1 to {MAX_INPUT_REPORT_BYTES} bytes, this one has {len(report)}")
     return time_s, report
 
 
@@ -162,7 +162,7 @@ class ReplayDevice:
         raise DeviceError(f"{self.path}: a recording has no feature report {report_id}")
 
     def listen(self, timeout_s: float) -> bytes:
-        """Return b"": `Recording.on_change` shows without listening whether the device reports only changes."""
+        """Return b"": listening is not needed, because `Recording.on_change` shows whether all reports differ."""
         return b""
 
     def close(self) -> None:
@@ -195,11 +195,11 @@ class ReplayDevice:
             self._theirs.close()
 
     def _wait_until(self, when: float) -> bool:
-        """Discard output reports until a time; return False if the device was closed."""
+        """Discard output reports until the time `when` (time.monotonic()); return False if the device was closed."""
         while True:
             left = when - time.monotonic()
             ready, _, _ = select.select((self._theirs, self._wake), (), (), max(0.0, left))
-            if self._wake in ready or (ready and not self._theirs.recv(MAX_REPORT_BYTES)):
+            if self._wake in ready or (ready and not self._theirs.recv(MAX_INPUT_REPORT_BYTES)):
                 return False
             if not ready and left <= 0:
                 return True

@@ -41,7 +41,7 @@ class Calibration:
 
     force_axes: ForceAxes
     moved_m: dict[str, tuple[float, float]]
-    """Motion of the handle along x and y for a force along each of the device's axes."""
+    """Motion of the handle along x and y, in m, by the device's axis along which a force pushed."""
 
 
 class _Pusher:
@@ -107,7 +107,7 @@ class _Pusher:
         return moved
 
     def sent(self) -> str:
-        """Return in hex, ids first, the sent reports that set up and start the effects, then those of the last push."""
+        """Return, in hex and ids first, the reports that set up and start the effects, then those of the last push."""
         before = [message.at_rest() for message in (*self._plan.restore, *self._plan.renew)]
         return ", ".join(report.hex(" ") for report in (*before, *self._sent))
 
@@ -123,8 +123,9 @@ def calibrate(
 ) -> Calibration:
     """Push the handle both ways along each axis, and find the axes and signs of forces from its motion, in about 5 s.
 
-    `driver` and `hid` must have the default `force_axes`. Raises DeviceError if the handle did not move, if the result
-    is not clear, or if the device is gone; ValueError if the force exceeds MAX_FORCE_SHARE of the full force.
+    `driver` must have been made with the default `force_axes`; those of `hid` are not used. Raises DeviceError if the
+    handle did not move, if the result is not clear, or if the device is gone; ValueError if `force_n` is not above 0 or
+    exceeds MAX_FORCE_SHARE of the full force.
     """
     if not 0.0 < force_n <= MAX_FORCE_SHARE * hid.full_scale_force_n * (1 + 1e-9):
         limit_n = MAX_FORCE_SHARE * hid.full_scale_force_n
@@ -165,7 +166,7 @@ def _single_axis_hint(moved: dict[str, tuple[float, float]]) -> str:
 
 
 def _force_axes_of(moved: dict[str, tuple[float, float]]) -> ForceAxes:
-    """Return the axis and sign of the device's forces, from these motions. Raises DeviceError if they are not clear."""
+    """Return the axes and signs of forces that follow from these motions. Raises DeviceError if they are not clear."""
     moves = {}
     for name, (x, y) in moved.items():
         if max(abs(x), abs(y)) < MIN_MOTION_RATIO * min(abs(x), abs(y)):

@@ -1,4 +1,4 @@
-"""Parameters, state and log of the check, before the scene's first force, of a device's signs (csrc/device/hd_signs.h).
+"""Parameters, state and log of the check of a device's signs (csrc/device/hd_signs.h), before the scene's first force.
 
 The signs are right if a force along an axis moves the handle along the same axis, in the same direction.
 """
@@ -14,11 +14,11 @@ from hapticd.base.core import SignsProblem, SignsState, lib
 PULSE_FORCE_SHARE: Final = 0.1
 """Force of a pulse by which the check pushes the handle, as a fraction of the device's largest force."""
 MIN_PULSE_MOTION_SHARE: Final = 0.005
-"""Smallest motion by a pulse that shows a sign, as a fraction of the handle's half travel."""
+"""A smaller motion during a pulse does not count, as a fraction of the handle's half travel."""
 PULSE_END_MOTION_SHARE: Final = 0.1
 """A pulse ends early once the handle has moved by this fraction of its half travel."""
 _MIN_MOTION_ENCODER_STEPS: Final = 2.0
-"""Smallest motion by a pulse that shows a sign, in steps of the encoder."""
+"""A smaller motion during a pulse does not count, in steps of the encoder."""
 _PROBLEM_TEXTS: Final[dict[SignsProblem, str]] = {
     SignsProblem.REVERSED: "a force along {axis} moves the handle the other way",
     SignsProblem.SWAPPED: "a force along {axis} moves the handle along {other}",
@@ -36,7 +36,7 @@ _log = logging.getLogger("hapticd")
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """Parameters of the check of one device's signs: the members of C's `struct hd_hid_signs`."""
+    """Parameters of the check whether one device's forces push the right way, as C's `struct hd_hid_signs`."""
 
     number: int
     """Number of the device, from 1; each device is checked once."""
@@ -45,13 +45,13 @@ class Signs:
     force_n: float
     """Force of the pulse by which the check pushes the handle."""
     least_m: float
-    """Smallest motion by a pulse that shows a sign."""
+    """Smallest mean motion during a pulse that counts as a motion."""
     enough_m: float
     """Motion of the handle after which a pulse ends early."""
 
 
 class Check:
-    """Makes the parameters of the check of signs, for each device that is connected."""
+    """Provides, for each connected device, the parameters of the check whether its forces push the right way."""
 
     def __init__(self, travel_m: float, full_scale_force_n: float) -> None:
         """Use half the handle's travel, `travel_m`, and the device's largest force, `full_scale_force_n`."""
@@ -61,8 +61,8 @@ class Check:
     def of(self, identity: str, axes: tuple[bool, bool], resolution_m: float) -> Signs | None:
         """Return the parameters for a device; None if it has no axis with both a position and a force.
 
-        `axes` says for x and y whether the axis has both. A device that is connected again gets the same number, so
-        that it is not checked again.
+        `axes` says for x and y whether the axis has both; `resolution_m` is the step of positions. A device that is
+        connected again gets the same number, so that it is not checked again.
         """
         if not any(axes):
             return None
@@ -74,7 +74,7 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class SignsStatus:
-    """The state of the check of signs, as the servo reports it."""
+    """The state of the check whether forces push the right way, as the servo reports it."""
 
     state: SignsState
     problem: SignsProblem
@@ -89,14 +89,14 @@ class SignsStatus:
 
     @property
     def holds_back(self) -> bool:
-        """Whether forces are on, but those of the scene are not sent until the check has ended."""
+        """Whether forces are on, but the scene's forces are held back until the check has ended."""
         return self.state in (SignsState.CHECKING, SignsState.WAITING)
 
     @property
-    def seen(self) -> str | None:
-        """A text that says what is wrong with the signs, or what prevents the check; None without a problem."""
-        seen = _PROBLEM_TEXTS.get(self.problem)
-        return None if seen is None else seen.format(axis=self.axis, other="y" if self.axis == "x" else "x")
+    def problem_text(self) -> str | None:
+        """What is wrong with the signs, or what prevents the check; None without a problem."""
+        text = _PROBLEM_TEXTS.get(self.problem)
+        return None if text is None else text.format(axis=self.axis, other="y" if self.axis == "x" else "x")
 
     @property
     def advice(self) -> str:
@@ -110,7 +110,7 @@ class SignsStatus:
 
     def line(self) -> str | None:
         """Return the problem of the signs and the advice in one line; None without a problem."""
-        return None if self.seen is None else f"{self.seen}: {self.advice}"
+        return None if self.problem_text is None else f"{self.problem_text}: {self.advice}"
 
     def to_dict(self) -> dict[str, object]:
         """Return the state as a map: the member `signs` of the status that clients request."""
@@ -124,13 +124,13 @@ class SignsStatus:
 
 
 class SignsLog:
-    """Logs the result of the check of signs, or what prevents the check; logs no state twice in succession."""
+    """Logs, after each change, the result of the check whether forces push the right way, or what prevents it."""
 
     def __init__(self) -> None:
         self._last: SignsStatus | None = None
 
     def note(self, status: SignsStatus) -> None:
-        """Log the present state of the check of signs, if it differs from the state that was logged last."""
+        """Log the state of the check of signs, if it differs from the state that was logged last."""
         line = status.line()
         if status == self._last or (line is None and status.state != SignsState.RIGHT):
             return

@@ -31,7 +31,7 @@ def open_hid(hid: Hid) -> Opened:
 
 
 def replay_source(replay: Replay, hid: Hid) -> Source:
-    """Return the function that opens a recording as a device. Raises HapticdError if it cannot be read."""
+    """Return the function that opens a recording as a device. Raises HapticdError if the recording cannot be read."""
     recording = load(replay.path)
     driver = _ReplayDriver(hid, recording.descriptor)
     played: list[ReplayDevice] = []

@@ -28,7 +28,7 @@ from hapticd.system.trusted_files import read_trusted
 
 SYSFS_ROOT: Final = Path("/sys")
 STOP_DEADLINE_S: Final = 3.0
-"""A device must accept all reports of its record within this time."""
+"""`hapticd stop-device` gives up if the device has not accepted its reports within this time."""
 _RECORD_VERSION: Final = 1
 _MAX_RECORD_BYTES: Final = 1 << 16
 """A larger file cannot be a record."""
@@ -40,7 +40,7 @@ _GONE_ERRNOS: Final = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The identity of a hidraw node: its device number, and the part of its uevent that identifies the device."""
+    """The identity of a hidraw node: its device number, and the values that identify the device in sysfs."""
 
     major: int
     minor: int
@@ -69,14 +69,14 @@ def identity_of(status: os.stat_result, sysfs: Path = SYSFS_ROOT) -> Identity | 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """The record by which a device can be stopped without its daemon: node, identity, and the reports that stop it."""
+    """What is needed to stop a device without its daemon: its node, its identity, and the reports that stop it."""
 
     path: str
     identity: Identity
     zero: tuple[bytes, ...]
     """Output reports for a force of zero, ids first."""
     stop: tuple[bytes, ...]
-    """Output reports that stop its effects or disable its actuators, ids first."""
+    """Output reports that stop the effects or disable the actuators, ids first."""
     pause_s: float = 0.0
     """Shortest pause between two reports."""
 
@@ -112,7 +112,7 @@ class StopFile:
         write_atomically(self.path, json.dumps(record), overwrite=True, mode=0o600)
 
     def drop(self) -> None:
-        """Remove the record, because the device has a force of zero."""
+        """Remove the record, after the daemon has set the device's force to zero."""
         self.path.unlink(missing_ok=True)
 
 
@@ -154,8 +154,8 @@ def stop_device(
 ) -> str | None:
     """Send the reports of the record at `path`, remove the record, and return what was done, in one line.
 
-    Returns None if no record exists. `open_node`, if given, opens the node without a check of its identity; `write`
-    writes a report. Raises HapticdError if the device may still push.
+    Returns None if no record exists. `open_node`, if given, opens the node without a check of the device's identity;
+    `write` writes a report. Raises HapticdError if the device may still push.
     """
     record = load(path)
     if record is None:
@@ -212,7 +212,7 @@ def _check_identity(record: Record, found: Identity | None) -> None:
 
 
 def _lock(fd: int, what: str, until_s: float) -> None:
-    """Lock the device, as soon as a killed daemon's lock is gone. Raises HapticdError if it is held after `until_s`."""
+    """Lock the device once a killed daemon's lock has ended. Raises HapticdError if the lock lasts beyond `until_s`."""
     while True:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -226,8 +226,8 @@ def _lock(fd: int, what: str, until_s: float) -> None:
 def _send(fd: int, record: Record, what: str, until_s: float, write: Callable[[int, bytes], int]) -> list[str]:
     """Write all reports of the record, and return a text for each report that the device refused.
 
-    Raises HapticdError if the device accepted neither all reports for a force of zero nor all that stop its effects in
-    time, _DeviceAbsentError if it is gone. A separate thread writes, because a write may hang in the kernel.
+    Raises HapticdError unless the device accepts all reports for a force of zero, or all that stop its effects, before
+    `until_s`; _DeviceAbsentError if the device is gone. A separate thread writes, because a write may hang.
     """
     reports = [*record.zero, *record.stop]
     pause_s = min(record.pause_s, STOP_DEADLINE_S / 2.0 / len(reports)) if reports else 0.0

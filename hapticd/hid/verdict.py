@@ -20,7 +20,7 @@ from hapticd.hid.drivers.vendor import plan_of as vendor_plan_of
 from hapticd.hid.plan import DeviceError, Plan, UndrivableError
 
 _MAX_POSITION_STEP_M = 1.0
-"""Largest position step of one count that the servo accepts."""
+"""The position step of one count must be smaller."""
 _MAX_LISTED_PROBLEMS = 3
 """An error lists at most this many fields that cannot be used."""
 
@@ -95,7 +95,7 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
 
 
 def _unused_fields_text(layout: Layout) -> str:
-    """Return a text that lists fields that exist but cannot be used: they may be why a device cannot be driven."""
+    """Return a text that lists the fields that exist but cannot be used, a possible cause of an undrivable device."""
     fields = [problem for problem in layout.problems if not problem.startswith(SKIPPED_ITEM_PREFIX)]
     if not fields:
         return ""

@@ -1,7 +1,7 @@
-"""Lock that keeps the processors out of deep idle states, which take long to leave.
+"""Keeps the processors out of deep idle states, which take long to leave.
 
 While `/dev/cpu_dma_latency` is held open with a latency of 0, the kernel's idle governor selects only shallow states
-(Documentation/power/pm_qos_interface). They cost power, so it is open only while a servo with real-time rights runs.
+(Documentation/power/pm_qos_interface). These cost power, so the file is open only while a real-time servo runs.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import struct
 from typing import Final
 
 LATENCY_DEVICE: Final = "/dev/cpu_dma_latency"
-"""The kernel's interface for the latency request: it holds as long as the file is open."""
+"""The kernel's interface for latency requests; a request lasts while its file is open."""
 
 
 class IdleStateLock:
@@ -26,7 +26,7 @@ class IdleStateLock:
         return self._fd is not None
 
     def hold(self) -> None:
-        """Request shallow idle states, unless they are requested. Raises OSError without the permission."""
+        """Request shallow idle states, if not yet requested. Raises OSError without the permission."""
         if self._fd is None:
             fd = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
             try:
@@ -37,7 +37,7 @@ class IdleStateLock:
             self._fd = fd
 
     def release(self) -> None:
-        """Withdraw the request for shallow idle states by closing its file, if it is held."""
+        """Withdraw the request for shallow idle states, if there is one."""
         if self._fd is not None:
             os.close(self._fd)
             self._fd = None

@@ -1,4 +1,4 @@
-"""The log of the daemon and of `hapticd web` on stderr, and the events of the servo that it contains.
+"""The log of the daemon and of `hapticd web` on stderr, and how events of the servo are logged.
 
 A separate thread writes the lines, so that no other thread waits for a journal or a terminal that does not read. Lines
 that do not fit into its queue are lost and counted. If stderr is the journal of systemd, each line begins with its
@@ -38,9 +38,9 @@ _log = logging.getLogger("hapticd")
 def attached(level: str = "info", environ: Mapping[str, str] = os.environ) -> Iterator[None]:
     """Write the log to stderr while the context lasts.
 
-    `level`, one of LOG_LEVELS, is the least important level of hapticd's lines that is written. Libraries' lines are
-    written if they are warnings or errors. A line begins with the time, and the date if stderr is not a terminal; if
-    stderr is the journal, which adds them, a line begins with its priority.
+    `level`, one of LOG_LEVELS, is the lowest level of hapticd's lines that are written; that of libraries is "warning".
+    A line begins with the time, and the date if stderr is not a terminal. If stderr is the journal, which adds both, a
+    line begins with its priority.
     """
     handler = logging.StreamHandler(sys.stderr)
     if is_stderr_stream(environ.get("JOURNAL_STREAM", "")):
@@ -82,7 +82,7 @@ class _LineQueue(QueueHandler):
             self._lost += 1
 
     def end(self) -> None:
-        """End the writing thread when it has written the queue; if the queue is full, it ends with the process."""
+        """End the writing thread after the queued lines; if the queue is full, the thread ends with the process."""
         with suppress(Full):
             self._waiting.put_nowait(None)
 
@@ -105,7 +105,7 @@ class _JournalFormatter(logging.Formatter):
 
 
 def is_stderr_stream(stream: str) -> bool:
-    """Return whether `stream`, the `DEVICE:INODE` of $JOURNAL_STREAM, is this process's stderr."""
+    """Return whether `stream`, a value of $JOURNAL_STREAM (`DEVICE:INODE`), names this process's stderr."""
     try:
         status = os.fstat(2)
     except OSError:
@@ -175,7 +175,7 @@ class EventLog:
         self._hinted = False
 
     def note(self, event: Mapping[str, object]) -> None:
-        """Log one event, a map as telemetry sends it, at once or later in a sum of repeated events."""
+        """Log one event of telemetry, at once or later in a sum of repeated events."""
         kind = str(event["event"])
         if _log.isEnabledFor(logging.DEBUG):
             members = ", ".join(f"{name} {value}" for name, value in event.items() if name != "event")
@@ -186,10 +186,8 @@ class EventLog:
             return
         found = _level_and_text(event)
         if found is not None:
-            level, line = found
-            self._repeats.line(
-                kind, level, line, MAX_STATE_INTERVAL_S if kind in _STATE_EVENTS else MAX_REPEAT_INTERVAL_S
-            )
+            max_interval_s = MAX_STATE_INTERVAL_S if kind in _STATE_EVENTS else MAX_REPEAT_INTERVAL_S
+            self._repeats.line(kind, *found, max_interval_s)
 
     def flush(self) -> None:
         """Log the sums of repeated events that are due."""

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Final
 
 STATUS_INTERVAL_S: Final = 1.0
-"""The status line is updated at this interval."""
+"""Interval of updates of the status line, unless the watchdog needs a shorter one."""
 _SEND_TIMEOUT_S: Final = 2.0
 """A message is dropped if the service manager does not read its socket for this long."""
 
@@ -22,22 +22,22 @@ _log = logging.getLogger("hapticd")
 
 
 def ready(line: str = "") -> bool:
-    """Report to systemd that a start or reload has ended; `line` is the status line that `systemctl status` shows."""
+    """Notify systemd that a start or reload has ended; `line` is the status line that `systemctl status` shows."""
     return _send("READY=1", *_status_assignment(line))
 
 
 def reloading() -> bool:
-    """Report to systemd that a reload begins. `ready` must follow, also if the reload changes nothing."""
+    """Notify systemd that a reload begins. `ready` must follow, even if the reload fails."""
     return _send("RELOADING=1", f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}")
 
 
 def stopping() -> bool:
-    """Report to systemd that the process begins to end in an orderly way."""
+    """Notify systemd that the process is about to end in an orderly way."""
     return _send("STOPPING=1")
 
 
 def status(line: str) -> bool:
-    """Set the status line that `systemctl status` shows."""
+    """Send the status line that `systemctl status` shows."""
     return _send(*_status_assignment(line))
 
 
@@ -61,7 +61,7 @@ class Watch:
     """
 
     def __init__(self, poll: Callable[[], tuple[int, str]], now: Callable[[], float] = time.monotonic) -> None:
-        """Create a watch. `poll` returns the number of periods that the servo has rendered, and the status line."""
+        """Create a watch. `poll` returns the number of ticks that the servo has computed, and the status line."""
         self._poll, self._now = poll, now
         interval_s = watchdog_s()
         self._fed = interval_s is not None

@@ -8,7 +8,7 @@ from typing import Final
 MAX_DESCRIPTORS: Final = 65536
 """The limit of file descriptors (RLIMIT_NOFILE) that the process sets, if its hard limit allows it."""
 RESERVED_DESCRIPTORS: Final = 256
-"""Descriptors that clients cannot take: for the device, signals, reloads, the flight recorder and the log."""
+"""Descriptors kept from clients: for the device, signals, reloads, the flight recorder and the log."""
 MAX_SOCKET_CONNECTIONS: Final = 1024
 """Largest number of connections to one socket."""
 _SOCKET_COUNT: Final = 2

@@ -32,7 +32,7 @@ _MAX_SOCKET_PATH_BYTES: Final = 107
 _LISTEN_BACKLOG: Final = 128
 """Connections that may wait to be accepted."""
 _OWNERSHIP_CHECK_INTERVAL_S: Final = 1.0
-"""Interval at which a daemon checks that its files have not been removed or replaced."""
+"""Interval at which a daemon checks whether its files were removed or replaced."""
 
 _log = logging.getLogger("hapticd")
 
@@ -123,9 +123,9 @@ def check_directory(paths: RuntimePaths) -> None:
 def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
     """Return the files of the runtime directory of the daemon that a client connects to.
 
-    A directory that was given, or that the environment names, is not checked, because a system daemon's directory
-    belongs to the daemon's user. Any user could have created the directory below /tmp: raises HapticdError unless it
-    belongs to this user.
+    A directory that is given, or that the environment names, is not checked, because a system daemon's directory
+    belongs to the daemon's user. Any user could have created the default directory, below /tmp: raises HapticdError
+    unless it belongs to this user.
     """
     paths = runtime_paths(directory)
     named = directory or any(map(os.environ.get, ("HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR")))
@@ -153,7 +153,7 @@ class Owned:
     def listen(self, path: Path) -> socket.socket:
         """Return a socket that listens at `path`; a socket that a killed daemon left there is replaced.
 
-        Raises HapticdError if it cannot be bound.
+        Raises HapticdError if the socket cannot be bound.
         """
         own = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
         try:
@@ -180,7 +180,7 @@ class Owned:
             return False
 
     def check(self) -> None:
-        """Log once each of the daemon's files that another process removed or replaced; at most one check a second."""
+        """Log each of the daemon's files that was removed or replaced, once; does nothing within 1 s of a check."""
         if time.monotonic() < self._due_s:
             return
         self._due_s = time.monotonic() + _OWNERSHIP_CHECK_INTERVAL_S
@@ -218,10 +218,9 @@ def owned(paths: RuntimePaths) -> Iterator[Owned]:
 
 
 def _make_directory(paths: RuntimePaths) -> None:
-    """Create the runtime directory with mode 0700, and its parents, or accept one that `check_directory` accepts.
+    """Create the runtime directory and its parents with mode 0700, or accept one that `check_directory` accepts.
 
-    An existing directory keeps its mode if that is 0750 or 0700, as systemd or an administrator set it; otherwise it
-    gets 0700.
+    An existing directory keeps the mode 0750 or 0700, set by systemd or an administrator; any other becomes 0700.
     """
     try:
         for folder in reversed((paths.directory, *paths.directory.parents)):

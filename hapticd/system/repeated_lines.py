@@ -5,8 +5,8 @@
     14:03:25  2,377 periods missed (11.9 %), 58 times, in the last 2 s
     14:03:29  ...
 
-The interval doubles with each line, from one second to an hour. After five minutes without a line of this kind, the
-next one is logged at once again.
+The interval doubles with each line, from one second to an hour. After five minutes without a line of a kind, its next
+line is logged at once again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MIN_REPEAT_INTERVAL_S: Final = 1.0
 MAX_REPEAT_INTERVAL_S: Final = 3600.0
 """Longest interval between two lines of one kind, unless the caller sets a shorter one."""
 MAX_STATE_INTERVAL_S: Final = 60.0
-"""Longest interval for changes of a state that users must know of: a fault, a lost device."""
+"""Longest interval between two lines about a state that users must know: a fault, a lost device."""
 FORGET_AFTER_S: Final = 300.0
 """After this time without a line of a kind, its remaining sum is logged, and the next line is logged at once."""
 
@@ -34,12 +34,12 @@ _log = logging.getLogger("hapticd")
 
 @dataclass(frozen=True, slots=True)
 class Since:
-    """The sum that a line reports: number of lines, time and amounts since the previous line of its kind."""
+    """What one logged line sums up: the number of lines, the time, and the amounts since the previous logged line."""
 
     times: int = 1
-    """Number of lines that this one stands for, itself included."""
+    """Number of lines that the logged line stands for, itself included."""
     seconds: float = 0.0
-    """Time since the previous line, in s; 0 for a line that is logged at once."""
+    """Time since the previous logged line; 0 for a line that is logged at once."""
     amounts: Mapping[str, int] = field(default_factory=dict)
     """Sum of each amount that was passed to `Repeats.note`, by its name."""
 
@@ -50,9 +50,9 @@ class Since:
 
     @property
     def more(self) -> str:
-        """The suffix of a line that shows only the newest of several; empty for a line that is logged at once.
+        """The suffix of a line that stands for several, such as ` (and 12 more in the last 64 s)`; else empty.
 
-        Examples: ` (and 12 more in the last 64 s)`, ` (once in the last 64 s)`.
+        After an interval a single line has the suffix ` (once in the last 64 s)`.
         """
         parts = [f"and {self.times - 1:,} more"] if self.times > 1 else ["once"] if self.seconds else []
         parts += [self.window] if self.seconds else []
@@ -65,7 +65,7 @@ class _Kind:
 
     logged_s: float
     interval_s: float
-    longest_s: float
+    max_interval_s: float
     newest_s: float
     waiting: Callable[[Since], None] | None = None
     times: int = 0
@@ -78,33 +78,33 @@ class _Kind:
 
 
 class Repeats:
-    """Rate limit for the lines of a log, usable from any thread. One thread calls `flush`, about ten times a second."""
+    """Rate limit for the lines of a log, usable from any thread. Sums that are due are logged by the next `flush`."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
         self._lock = threading.RLock()
         self._kinds: dict[str, _Kind] = {}
 
-    def line(self, kind: str, level: int, text: str, longest_s: float = MAX_REPEAT_INTERVAL_S) -> None:
-        """Log `text` now, or later with the number of lines of this kind until then, unless newer text replaces it."""
-        self.note(kind, lambda since: _log.log(level, "%s%s", text, since.more), longest_s=longest_s)
+    def line(self, kind: str, level: int, text: str, max_interval_s: float = MAX_REPEAT_INTERVAL_S) -> None:
+        """Log `text` now, or later with the number of lines of its kind, unless a newer text replaces it before."""
+        self.note(kind, lambda since: _log.log(level, "%s%s", text, since.more), max_interval_s=max_interval_s)
 
     def note(
         self,
         kind: str,
         log: Callable[[Since], None],
         amounts: Mapping[str, int] | None = None,
-        longest_s: float = MAX_REPEAT_INTERVAL_S,
+        max_interval_s: float = MAX_REPEAT_INTERVAL_S,
     ) -> None:
-        """Call `log` now, or later with the sum of all calls of this kind until then, unless a newer call replaces it.
+        """Call `log` now, or later with the sum of all notes of its kind, unless a newer `log` replaces it before.
 
-        `amounts` are added up by their names. `longest_s` is the longest interval between two lines.
+        `amounts` are added up by their names. `max_interval_s` is the longest interval between two lines.
         """
         with self._lock:
             now_s = self._now_s()
             known = self._kinds.get(kind)
             if known is None or known.has_expired(now_s):
-                known = self._kinds[kind] = _Kind(now_s, 0.0, longest_s, now_s)
+                known = self._kinds[kind] = _Kind(now_s, 0.0, max_interval_s, now_s)
             known.waiting, known.newest_s = log, now_s
             known.times += 1
             for name, amount in (amounts or {}).items():
@@ -134,5 +134,8 @@ class Repeats:
             return
         since = Since(known.times, 0.0 if at_once else now_s - known.logged_s, known.amounts)
         log, known.waiting, known.times, known.amounts = known.waiting, None, 0, {}
-        known.logged_s, known.interval_s = now_s, min(max(2 * known.interval_s, MIN_REPEAT_INTERVAL_S), known.longest_s)
+        known.logged_s, known.interval_s = (
+            now_s,
+            min(max(2 * known.interval_s, MIN_REPEAT_INTERVAL_S), known.max_interval_s),
+        )
         log(since)

@@ -18,7 +18,7 @@ from hapticd.base.errors import HapticdError, collapse_whitespace, quoted
 Action = Literal["system", "user", "remove-system", "remove-user"]
 
 _UNIT_EXECUTABLE: Final = "/usr/bin/hapticd"
-"""The executable's path in the unit files, which is replaced by that of this installation."""
+"""The executable in the shipped unit files, which the executable of this installation replaces."""
 _HIDDEN_FOLDERS: Final = ("/home", "/root", "/run/user")
 """Folders that ProtectHome of the units hides."""
 
@@ -29,7 +29,7 @@ class Installation:
 
     executable: Path
     folders: tuple[Path, ...]
-    """Folders with the files that hapticd needs to run: Python, its packages, and the executable."""
+    """Folders of Python, its packages and the executable, all of which hapticd needs to run."""
 
     @staticmethod
     def this() -> Installation:
@@ -46,7 +46,7 @@ class Installation:
         return Installation(path, tuple(sorted(outer)))
 
     def adapted(self, unit: str) -> str:
-        """Return a unit file's text with this executable, and with read-only mounts of folders that the unit hides."""
+        """Return a unit file's text with this executable, and read-only mounts of `folders` that the unit hides."""
         unit = unit.replace(f"={_UNIT_EXECUTABLE} ", f"={unit_word(self.executable)} ")
         hidden = [one for one in self.folders if any(one.is_relative_to(place) for place in _HIDDEN_FOLDERS)]
         if not hidden:
@@ -56,9 +56,10 @@ class Installation:
 
 
 def run(action: Action, installation: Installation, root: Path | None = None, dry_run: bool = False) -> list[str]:
-    """Run install.sh, which installs the units, and return the commands that it ran, or with `dry_run` would run.
+    """Run install.sh to install or remove the files of the service, and return the lines of its output.
 
-    `root` is the root folder of another system. Raises HapticdError with the output of a command that failed.
+    The lines are the commands that it ran, or with `dry_run` would run, and hints about missing programs. `root` is the
+    root folder of another system, whose services are not reloaded. Raises HapticdError with stderr if a command fails.
     """
     shipped = resources.files("hapticd")
     with (

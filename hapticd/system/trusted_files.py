@@ -15,7 +15,7 @@ _OTHERS_READ_BITS: Final = stat.S_IRWXO | stat.S_IXGRP
 
 
 def read_trusted(path: str | os.PathLike[str], max_bytes: int, *, secret: bool = False) -> bytes:
-    """Return the bytes of a regular file, at most `max_bytes` + 1, so that the caller notices a larger file.
+    """Return at most `max_bytes` + 1 bytes of a regular file, so that the caller notices a file that is too large.
 
     The file must belong to root or to the user of this process, and no other user may write to it. A `secret` file may
     be read only by its owner and its group. Raises HapticdError.

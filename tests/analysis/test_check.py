@@ -11,7 +11,7 @@ from hapticd.analysis.check import check
 from hapticd.config.configuration import load_config
 from hapticd.daemon.engine import Engine
 from hapticd.hid.connection import Opened
-from hapticd.hid.discovery import Found
+from hapticd.hid.discovery import SysfsDevice
 from hapticd.hid.verdict import verdict_of
 from tests.support.hid_descriptors import Joystick
 from tests.support.hid_device import FakePid
@@ -33,7 +33,7 @@ def source(**hid: Any) -> dict[str, Any]:
 
 def plugged(monkeypatch: pytest.MonkeyPatch, descriptor: bytes, interval_s: float | None) -> None:
     """The only device of this machine, as sysfs tells of it."""
-    found = Found("stick", "stick", 1, 2, "", "USB", "", descriptor, interval_s, interval_s, "ok")
+    found = SysfsDevice("stick", "stick", 1, 2, "", "USB", "", descriptor, interval_s, interval_s, "ok")
     monkeypatch.setattr("hapticd.analysis.check.find", lambda: [found])
 
 

@@ -1,4 +1,4 @@
-"""Finished files get their names, and take no other's."""
+"""Files that are written atomically: they get their names, and never replace another program's file."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path, monkeypatch: pyt
     assert len(list(tmp_path.iterdir())) == 3
 
 
-def test_what_a_command_found_is_kept_beside_a_file_that_appeared(tmp_path: Path) -> None:
+def test_the_output_is_kept_next_to_a_file_that_appeared(tmp_path: Path) -> None:
     target = tmp_path / "found.yaml"
     target.write_text("precious")
-    told = r"found.yaml: another program created this file meanwhile; the output is in .*/found-2.yaml"
-    with pytest.raises(HapticdError, match=told):
+    message = r"found.yaml: another program created this file meanwhile; the output is in .*/found-2.yaml"
+    with pytest.raises(HapticdError, match=message):
         write_atomically(str(target), "ours", overwrite=False)
     assert target.read_text() == "precious" and (tmp_path / "found-2.yaml").read_text() == "ours"
     write_atomically(str(target), "ours", overwrite=True)
@@ -49,7 +49,9 @@ def test_what_a_command_found_is_kept_beside_a_file_that_appeared(tmp_path: Path
 
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_no_regular_file_is_refused_and_left(tmp_path: Path, kind: str, overwrite: bool) -> None:
+def test_a_target_that_is_not_a_regular_file_is_refused_and_unchanged(
+    tmp_path: Path, kind: str, overwrite: bool
+) -> None:
     (tmp_path / "real").mkdir()
     end, link = tmp_path / "real" / "found.yaml", tmp_path / "link.yaml"
     special(end, kind)
@@ -64,10 +66,10 @@ def test_what_is_no_regular_file_is_refused_and_left(tmp_path: Path, kind: str, 
 
 @pytest.mark.parametrize("links", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(
+def test_a_device_or_folder_that_appears_meanwhile_keeps_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, links: bool
 ) -> None:
-    """Also with `overwrite`, which is about that name alone."""
+    """The same holds with `overwrite`, which allows to replace regular files only."""
 
     def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EPERM, "no hard links here")
@@ -75,8 +77,8 @@ def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(
     if not links:
         monkeypatch.setattr(os, "link", refuse)
     for name in "ab":
-        target, told = tmp_path / f"{name}.yaml", f"the output is in {tmp_path}/{name}-3.yaml"
-        with pytest.raises(HapticdError, match=told), atomic_file(target, overwrite=True) as file:
+        target, message = tmp_path / f"{name}.yaml", f"the output is in {tmp_path}/{name}-3.yaml"
+        with pytest.raises(HapticdError, match=message), atomic_file(target, overwrite=True) as file:
             file.write(b"ours")
             if name == "a":
                 special(tmp_path / "end", kind)
@@ -89,7 +91,7 @@ def test_what_appears_meanwhile_and_is_no_regular_file_keeps_its_name(
         assert (tmp_path / f"{name}-3.yaml").read_text() == "ours"
 
 
-def test_a_block_that_fails_leaves_what_is_there(tmp_path: Path) -> None:
+def test_a_block_that_fails_leaves_the_file_unchanged(tmp_path: Path) -> None:
     target = tmp_path / "a.yaml"
     target.write_text("precious")
     with pytest.raises(RuntimeError), atomic_file(target, overwrite=True) as file:

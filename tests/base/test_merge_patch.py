@@ -45,7 +45,7 @@ json_values = st.recursive(
 
 
 def rfc_pseudocode(target: Json, patch: Json) -> Json:
-    """Section 2, word by word."""
+    """Transcribe the pseudocode of section 2."""
     if isinstance(patch, dict):
         if not isinstance(target, dict):
             target = {}

@@ -1,4 +1,4 @@
-"""Where the limit of a user's processes leaves no room for threads: one line, and no abort of libzmq."""
+"""A user's limit of processes leaves no room for threads: the result is one line, and libzmq does not abort."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from hapticd.base.errors import HapticdError
 from tests.support.marks import rest_slow
 
 NOBODY = 64321
-"""A user that has no other processes. Root itself has no such limit."""
+"""A user without other processes. Root has no limit of processes."""
 LEFT = "-all,+dac_override"
-"""The interpreter may be root's alone."""
+"""Capabilities to keep: only root may read the interpreter's files on some machines."""
 
 
-def limited(most: int, directory: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """A command of a user who may have `most` processes and threads."""
+def limited(limit: int, directory: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a command as a user who may have `limit` processes and threads."""
     before: list[str] = []
     if os.geteuid() == 0:
         if shutil.which("setpriv") is None:
@@ -37,7 +37,7 @@ def limited(most: int, directory: Path, *words: str) -> subprocess.CompletedProc
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     return subprocess.run(
         [*before, sys.executable, "-m", "hapticd", "--runtime-dir", str(directory / "run"), *words],
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NPROC, (most, most)),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NPROC, (limit, limit)),
         env=environment | {"PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
         text=True,
@@ -48,18 +48,18 @@ def limited(most: int, directory: Path, *words: str) -> subprocess.CompletedProc
 
 @pytest.fixture
 def folder() -> Iterator[Path]:
-    """One that another user can enter."""
+    """A folder that another user can enter."""
     with tempfile.TemporaryDirectory(prefix="ht-") as made:
         yield Path(made)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("most", rest_slow([1, 4, 2, 3, 6, 9], fast=2))
-def test_a_daemon_without_threads_does_not_start_and_says_so(folder: Path, most: int) -> None:
-    done = limited(most, folder, "run")
+@pytest.mark.parametrize("limit", rest_slow([1, 4, 2, 3, 6, 9], fast=2))
+def test_a_daemon_without_threads_does_not_start_and_reports_it(folder: Path, limit: int) -> None:
+    done = limited(limit, folder, "run")
     line = done.stderr.splitlines()[-1]
-    told = f"the user's limit of {most} processes and threads is reached (ulimit -u), or memory is short"
-    assert (done.returncode, line) == (1, f"hapticd: the system refuses another thread: {told}")
+    reason = f"the user's limit of {limit} processes and threads is reached (ulimit -u), or memory is short"
+    assert (done.returncode, line) == (1, f"hapticd: the system refuses another thread: {reason}")
     assert "Traceback" not in done.stderr and "zmq" not in done.stderr and "thread.cpp" not in done.stderr
     assert not (folder / "run" / "hapticd.command").exists()
 
@@ -73,13 +73,13 @@ def test_a_client_without_threads_is_one_line(folder: Path, words: list[str]) ->
 
 
 @pytest.mark.long
-def test_what_needs_no_thread_goes_on(folder: Path) -> None:
+def test_commands_that_need_no_thread_work(folder: Path) -> None:
     done = limited(1, folder, "simulate", "comb", "--for", "0.01s", "-o", str(folder / "a.npz"))
     assert (done.returncode, done.stderr) == (0, "")
     assert limited(1, folder, "stop-device").returncode == 0
 
 
-def test_none_is_left_over(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_thread_is_left_over(monkeypatch: pytest.MonkeyPatch) -> None:
     before = threading.active_count()
     threads.check(5)
     start, left = threading.Thread.start, [3]

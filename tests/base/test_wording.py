@@ -1,4 +1,4 @@
-"""Numbers and counts as a person writes them."""
+"""Numbers and counts as people write them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hapticd.base import wording
 
 
 @pytest.mark.parametrize(
-    ("told", "as_written"),
+    ("text", "as_written"),
     [
         (wording.number(12340), "12,340"),
         (wording.number(-1234567), "-1,234,567"),
@@ -56,8 +56,8 @@ from hapticd.base import wording
         (wording.listed(["a", "b", "c"]), "a, b and c"),
     ],
 )
-def test_as_a_person_writes_it(told: str, as_written: str) -> None:
-    assert told == as_written
+def test_as_a_person_writes_it(text: str, as_written: str) -> None:
+    assert text == as_written
 
 
 _POWERS = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}

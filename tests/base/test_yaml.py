@@ -1,4 +1,4 @@
-"""The YAML loader: scalars of the core schema, what is refused and where, line numbers, and no tracebacks."""
+"""The YAML loader: scalars of the core schema, errors and their places, line numbers, and no tracebacks."""
 
 import json
 import math
@@ -19,14 +19,14 @@ PARSERS = [yaml.BaseLoader] + ([yaml.CBaseLoader] if yaml.__with_libyaml__ else 
 
 @pytest.fixture(params=PARSERS, ids=lambda parser: parser.__name__, autouse=True)
 def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every test with PyYAML's own parser and with the one over libyaml."""
+    """Run every test with PyYAML's Python parser and with libyaml's."""
     monkeypatch.setattr(yaml_source, "_YAML_LOADER", request.param)
 
 
 ONE_PARSER = pytest.mark.parametrize(
     "parser", rest_slow(reversed(PARSERS)), ids=lambda parser: parser.__name__, indirect=True
 )
-"""Of a test that takes long: CI has it with the parser that is used, `make test-slow` with both."""
+"""Mark of a long test: CI runs it with the default parser, `make test-slow` with both."""
 
 
 def refusal(text: str | bytes) -> Problem:
@@ -38,7 +38,7 @@ def refusal(text: str | bytes) -> Problem:
     return problem
 
 
-# YAML 1.2.2, section 10.3.2 (and 10.2.1.2 for what the regular expressions leave out).
+# YAML 1.2.2, section 10.3.2, and 10.2.1.2 for values that the regular expressions omit.
 SCALARS: list[tuple[str, Json]] = [
     *((text, None) for text in ("null", "Null", "NULL", "~", "")),
     *((text, True) for text in ("true", "True", "TRUE")),
@@ -106,7 +106,7 @@ def test_empty_documents_hold_null(text: str) -> None:
     assert document.where(("servo",)) in ("f:1:1: servo", "f:2:1: servo")
 
 
-def test_byte_order_mark_is_no_content() -> None:
+def test_a_byte_order_mark_is_not_content() -> None:
     assert load_bytes(b"\xef\xbb\xbfa: 1", "f").data == {"a": 1}
 
 
@@ -302,7 +302,7 @@ def test_any_text_is_taken_or_refused_with_lone_surrogates_too(text: str) -> Non
 def test_thousands_of_directives_are_refused_before_they_are_parsed(
     before: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """libyaml compares each with all before it: two megabytes of them took nine seconds."""
+    """libyaml compares each directive with all before it: 2 MB of them took nine seconds."""
     text = before + "%TAG !a! x\n%TAG !b! x\n" * 30
     line = before.count("\n") + 17
     with monkeypatch.context() as patch:

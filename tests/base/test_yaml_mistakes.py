@@ -1,6 +1,6 @@
-"""What people get wrong in YAML, and what they are told: one line with a place.
+"""Common mistakes in YAML, each reported in one line with its place.
 
-Each slip stands in a scene or a configuration that is sound without it.
+Each mistake is in a scene or a configuration that is valid without it.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ FLOOR = "{kind: wall, point_m: [0, 0], normal: [0, 1], material: glass}"
 
 @pytest.fixture(params=PARSERS, ids=lambda parser: parser.__name__, autouse=True)
 def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every test with PyYAML's own parser and with the one over libyaml."""
+    """Run every test with PyYAML's Python parser and with libyaml's."""
     monkeypatch.setattr(yaml_source, "_YAML_LOADER", request.param)
 
 
 def floor(old: str, new: str) -> str:
-    """A floor with a slip in it."""
+    """Return a scene of a floor with a mistake in it."""
     assert FLOOR.count(old) == 1
     return f"objects:\n  floor: {FLOOR.replace(old, new)}\n"
 
@@ -99,11 +99,11 @@ OTHERS = {
     "a backslash in double quotes": 'flight: {directory: "C:\\data"}\n',
     "a dash without a space": BLOCK.replace("[0, 0]", "\n      -0\n      -0"),
 }
-"""What is told of these is the parser's or pydantic's own."""
+"""The texts for these mistakes come from the parser or from pydantic."""
 
 
 def refused(text: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What is said of a file "f"."""
+    """Return the error for a file named "f"."""
     monkeypatch.chdir(folder)
     Path("f").write_text(text)
     with pytest.raises(InvalidError) as caught:
@@ -113,9 +113,9 @@ def refused(text: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.mark.parametrize("name", SLIPS)
 def test_slips_are_called_by_their_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    text, told = SLIPS[name]
+    text, expected = SLIPS[name]
     message = refused(text, tmp_path, monkeypatch)
-    assert told in message, message
+    assert expected in message, message
     assert message.isprintable()
 
 

@@ -13,7 +13,7 @@ from hapticd.config.configuration import load_config
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
 from hapticd.hid import discovery, sources
 from hapticd.hid.connection import Opened
-from hapticd.hid.discovery import Found
+from hapticd.hid.discovery import SysfsDevice
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.verdict import Verdict, verdict_of
 from tests.support.hid_descriptors import Joystick
@@ -22,8 +22,8 @@ from tests.support.hid_device import FakePid
 STICK = bytes(Joystick())
 
 
-def found(path: str = "/dev/hidraw0", descriptor: bytes = STICK) -> Found:
-    return Found(
+def found(path: str = "/dev/hidraw0", descriptor: bytes = STICK) -> SysfsDevice:
+    return SysfsDevice(
         path=path,
         name="Lab stick",
         vendor=0x1209,
@@ -38,7 +38,7 @@ def found(path: str = "/dev/hidraw0", descriptor: bytes = STICK) -> Found:
     )
 
 
-def here(monkeypatch: pytest.MonkeyPatch, *devices: Found) -> None:
+def here(monkeypatch: pytest.MonkeyPatch, *devices: SysfsDevice) -> None:
     monkeypatch.setattr(discovery, "find", lambda: list(devices))
 
 

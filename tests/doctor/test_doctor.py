@@ -39,7 +39,7 @@ def put(root: Path, files: Mapping[str, str]) -> None:
 def reported(
     root: Path, check: Check, files: Mapping[str, str] | None = None, needs: Needs | None = None, **how: Any
 ) -> str:
-    """Verdicts and what was said, of one check over a tree."""
+    """Return verdict and text of each finding of one check, over a tree of files."""
     put(root, files or {})
     found = list(check(Machine(root, **how), needs or Needs()))
     assert found, check
@@ -79,7 +79,7 @@ def test_a_processor_that_is_asked_for_is_not_known_without_files(tmp_path: Path
 def test_every_check_stands_an_empty_machine(tmp_path: Path) -> None:
     for needs in (Needs(), Needs("required", 90, 3, Hid())):
         found = list(diagnose(Machine(tmp_path, limit=nothing), needs))
-        assert len(found) >= len(ALL_CHECKS) - 1  # without a joystick nobody competes for one
+        assert len(found) >= len(ALL_CHECKS) - 1  # without a joystick there is no line for competitors
 
 
 def test_files_that_hold_nonsense(tmp_path: Path) -> None:
@@ -132,9 +132,9 @@ BUILT = "# CONFIG_PREEMPT_NONE is not set\nCONFIG_PREEMPT_VOLUNTARY=y\nCONFIG_PR
     ],
 )
 def test_preemption(tmp_path: Path, files: dict[str, str], verdict: str, words: str) -> None:
-    said = reported(tmp_path, realtime.preemption, files)
-    assert said.startswith(verdict)
-    assert words in said
+    text = reported(tmp_path, realtime.preemption, files)
+    assert text.startswith(verdict)
+    assert words in text
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_budget_of_the_control_group(tmp_path: Path, files: dict[str, str], verd
 
 @pytest.mark.parametrize(("required", "verdict"), [("required", "fail"), ("preferred", "warn"), ("off", "ok")])
 @pytest.mark.parametrize("check", [realtime.throttling, realtime.group_budget])
-def test_no_time_for_real_time_is_as_bad_as_the_configuration_says(
+def test_the_verdict_without_time_for_real_time_tasks_follows_the_configuration(
     tmp_path: Path, check: Check, required: Literal["required", "preferred", "off"], verdict: str
 ) -> None:
     files = {
@@ -207,8 +207,8 @@ def test_clock(tmp_path: Path, name: str, verdict: str) -> None:
 )
 def test_real_time_rights(tmp_path: Path, required: Any, limit: int, capabilities: str, verdict: str) -> None:
     files = {"proc/self/status": f"Name:\tx\nCapEff:\t{capabilities}\n"}
-    said = reported(tmp_path, realtime.priority, files, Needs(required, 80), limit=lambda number: (limit, limit))
-    assert said.startswith(verdict)
+    text = reported(tmp_path, realtime.priority, files, Needs(required, 80), limit=lambda number: (limit, limit))
+    assert text.startswith(verdict)
 
 
 @pytest.mark.parametrize(
@@ -222,8 +222,8 @@ def test_real_time_rights(tmp_path: Path, required: Any, limit: int, capabilitie
 )
 def test_locked_memory(tmp_path: Path, limit: int, capabilities: str, verdict: str) -> None:
     files = {"proc/self/status": f"CapEff:\t{capabilities}\n"}
-    said = reported(tmp_path, realtime.memory, files, Needs("required"), limit=lambda number: (limit, limit))
-    assert said.startswith(verdict)
+    text = reported(tmp_path, realtime.memory, files, Needs("required"), limit=lambda number: (limit, limit))
+    assert text.startswith(verdict)
 
 
 # ---- Processors ------------------------------------------------------------------------------------------------------
@@ -286,7 +286,7 @@ def test_idle_states_that_can_be_held_off(tmp_path: Path) -> None:
 
 
 def joystick(root: Path, number: int = 0, effects: str = "1 0\n") -> Path:
-    """One of the PID class as sysfs has it, with an event node; its hidraw node."""
+    """Create a PID joystick in sysfs, with an event node, and return its hidraw node."""
     device = root / "sys" / "class" / "hidraw" / f"hidraw{number}" / "device"
     put(
         device,
@@ -335,7 +335,7 @@ def test_a_joystick_that_may_be_driven(tmp_path: Path) -> None:
 def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
     joystick(tmp_path)
     descriptor = tmp_path / "sys/class/hidraw/hidraw0/device/report_descriptor"
-    # One axis and two bytes out: no forces, unless the configuration says what they are.
+    # One axis and two output bytes: no forces, unless the configuration describes them.
     descriptor.write_bytes(bytes.fromhex("05010904a10109301500 26ff0075089502 8102 0600ff0901 9102c0"))
     assert reported(tmp_path, devices.permissions).startswith("ok no force-feedback joystick of the PID class")
     report = {
@@ -392,9 +392,9 @@ def test_competing_programs(tmp_path: Path) -> None:
     assert reported(tmp_path, devices.competitors).startswith("ok no other program")
     process(tmp_path, 88, "game", "/dev/null", "/dev/input/event5")
     process(tmp_path, 99, "other", "/dev/hidraw1")
-    said = reported(tmp_path, devices.competitors)
-    assert said.startswith("warn /dev/hidraw0 or its event nodes are open in game (88)")
-    assert "other" not in said
+    text = reported(tmp_path, devices.competitors)
+    assert text.startswith("warn /dev/hidraw0 or its event nodes are open in game (88)")
+    assert "other" not in text
 
 
 def test_the_kernels_own_effects_are_reported_where_others_may_use_them(tmp_path: Path) -> None:
@@ -451,14 +451,14 @@ def test_the_daemon(tmp_path: Path) -> None:
         "warn hapticd 1.2 runs, but 1.3"
     )
     status |= {"faults": ["device"], "realtime": {"missing": ["SCHED_FIFO priority 80: not permitted"]}}
-    said = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
-    assert "warn the daemon was not granted: SCHED_FIFO priority 80" in said
-    assert "warn a fault holds the forces off: device" in said
+    text = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
+    assert "warn the daemon was not granted: SCHED_FIFO priority 80" in text
+    assert "warn a fault holds the forces off: device" in text
     status["connection"] = {"path": "/dev/hidraw3", "resets_seen": False, "foreign_effect_s": 0.0957}
-    said = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
+    text = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
     assert (
         "is not noticed; an effect that it uploads lasts up to 96 ms -> `hapticd devices claim /dev/hidraw3` keeps"
-        in said
+        in text
     )
 
     def silent() -> None:
@@ -510,7 +510,7 @@ def test_a_fault_of_the_machine_is_exit_code_1(
     assert captured.err.startswith("hapticd: not ready: config")
 
 
-# A process that listens as a daemon does, and never answers.
+# A process that listens as a daemon does and never answers.
 LISTENS = """
 import socket, sys
 with socket.socket(socket.AF_UNIX) as own:
@@ -523,7 +523,7 @@ with socket.socket(socket.AF_UNIX) as own:
 
 @pytest.fixture
 def silent(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Whoever listens on the command socket in `tmp_path`."""
+    """Listen on the command socket in `tmp_path`, and never answer."""
     words = [sys.executable, "-c", LISTENS, str(tmp_path / "hapticd.command")]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stdout.readline() == "listens\n"
@@ -560,7 +560,7 @@ def test_a_daemon_that_runs_and_does_not_answer_is_named(
     assert f"process {silent.pid}, which holds {tmp_path}, did not answer within 0.1 s" in line
 
 
-def test_nobody_holds_what_nobody_listens_on(tmp_path: Path) -> None:
+def test_a_socket_without_a_listener_has_no_holder(tmp_path: Path) -> None:
     assert socket_holder(tmp_path / "hapticd.command") is None
     (tmp_path / "hapticd.command").touch()
     assert socket_holder(tmp_path / "hapticd.command") is None

@@ -1,4 +1,4 @@
-"""Devices that are claimed and released, on a tree of files with a kernel that binds and unbinds."""
+"""Claim and release of devices, on a tree of files and a simulated kernel that binds and unbinds drivers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_claimed_and_released(kernel: Kernel) -> None:
     assert kernel.claims.names() == [STICK]
     after = kernel.found(STICK).path
     assert after != before and kernel.claims.path(STICK) == after and not os.path.exists(before)
-    # Of this device, and no other: also where no udev is there to do it.
+    # Only the nodes of this device are hidden, also without udev.
     assert kernel.modes(STICK) == {0o600} and kernel.modes(OTHER) == {0o660}
     lines = (kernel.root / CLAIM_RULES_PATH).read_text().splitlines()
     assert len(lines) == 2 and all(f'KERNELS=="{STICK}"' in line and OTHER not in line for line in lines)
@@ -47,7 +47,7 @@ def test_claimed_and_released(kernel: Kernel) -> None:
     assert not (kernel.root / CLAIM_RULES_PATH).exists() and len(kernel.commands) == 2
 
 
-def test_the_rule_stands_before_the_nodes_are_made_anew(kernel: Kernel) -> None:
+def test_the_rule_is_written_before_the_nodes_are_created_again(kernel: Kernel) -> None:
     seen: list[bool] = []
 
     def write(path: Path, text: str) -> None:
@@ -96,11 +96,10 @@ def test_what_is_refused(kernel: Kernel) -> None:
     assert refusal(kernel, "release") == "/dev/hidraw5 (Stick, 2341:8036) is not claimed"
     for node in kernel.claims.nodes(STICK):
         node.chmod(0o600)
-    kept = "only root may open its event nodes already, because of a line in 70-hapticd.rules"
+    kept = "a line in 70-hapticd.rules already lets only root open its event nodes"
     assert refusal(kernel, "claim") == f"/dev/hidraw5 (Stick, 2341:8036): {kept}"
-    assert (
-        "is not claimed: only root may open its event nodes already, because of a line in 70-hapticd.rules"
-        in refusal(kernel, "release")
+    assert "is not claimed: a line in 70-hapticd.rules already lets only root open its event nodes" in refusal(
+        kernel, "release"
     )
     for node in kernel.claims.nodes(STICK):
         node.chmod(0o644)
@@ -129,7 +128,7 @@ def test_a_device_that_no_driver_takes_again(kernel: Kernel, monkeypatch: pytest
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_rules_are_written_to_nothing_but_a_file(kernel: Kernel, kind: str, tmp_path: Path) -> None:
+def test_rules_are_written_only_to_a_regular_file(kernel: Kernel, kind: str, tmp_path: Path) -> None:
     rules, end = kernel.root / CLAIM_RULES_PATH, tmp_path / "end"
     rules.parent.mkdir(parents=True, exist_ok=True)
     special(end, kind)

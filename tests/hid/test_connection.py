@@ -1,4 +1,4 @@
-"""A whole engine over a PID device: positions in, forces out; unplugged, plugged in again, reset."""
+"""An engine with a PID device: positions in, forces out; the device is unplugged, plugged in again, and reset."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COUNTS = 32767
 
 
 class World:
-    """Joysticks that come and go, and an engine that looks for one."""
+    """Joysticks that are plugged in and unplugged, and an engine that connects to one."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.like = Joystick()
@@ -42,10 +42,9 @@ class World:
         self.opened: list[Opened] = []
         self.on_change: bool | None = False
         self.hid: dict[str, Any] = {"renew_s": 0.1, "effect_duration_s": 0.25, "signs": "trust"}
-        """More of `device.hid`. Effects that do not play after three renewals are forgotten, and whoever tells of them
-        here is a thread of Python."""
+        """Further keys of `device.hid`. Renewals are slow, because a Python thread reports which effects play."""
         self.late_after_s = 60.0
-        """So late a report is a fault. They come from a thread of Python, which may be held up."""
+        """A report that is later is a fault. A Python thread sends the reports, which may be delayed."""
         self.config: dict[str, Any] = {
             "materials": {"plain": {"stiffness_n_per_m": STIFFNESS}},
             "scene": FLOOR,
@@ -57,7 +56,7 @@ class World:
         self._monkeypatch = monkeypatch
         monkeypatch.setattr("hapticd.daemon.engine.source_of", lambda _: self.open)
         monkeypatch.setattr(connection_module, "RECONNECT_INTERVAL_S", 0.01)
-        # What a device says of a set-up must not be taken for news of later.
+        # Reports about the set-up must not be taken for later ones.
         monkeypatch.setattr(connection_module, "READY_POLL_INTERVAL_S", 0.3)
         monkeypatch.setattr(connection_module, "READY_TIMEOUT_S", 60.0)
 
@@ -80,7 +79,7 @@ class World:
         return self.opened[-1]
 
     def start(self, **servo: Any) -> Engine:
-        """An engine whose servo has seen where the handle is: without that, forces on are a fault."""
+        """Start an engine whose servo knows the handle's position; without a position, forces are a fault."""
         self._monkeypatch.setattr("hapticd.daemon.engine.DEVICE_TIMEOUT_S", self.late_after_s)
         config = load_config(
             {
@@ -105,11 +104,11 @@ class World:
         return self.engine
 
     def hold(self, depth_m: float) -> None:
-        """The handle is so deep in the floor from now on. HID's Y grows towards the user, so down is positive."""
+        """Hold the handle at this depth in the floor from now on. HID's Y grows towards the user: down is positive."""
         self._y = round(COUNTS * depth_m / TRAVEL_M)
 
     def _move(self) -> None:
-        """Reports as a device does that reports all the time, and beats for the engine."""
+        """Send input reports continuously, as a device does, and heartbeats for the engine."""
         while not self._stop.wait(0.002):
             if self.engine is not None:
                 self.engine.beat()
@@ -118,14 +117,14 @@ class World:
                 stick.report(0, self._y)
 
     def until(self, what: Callable[[], bool], timeout_s: float = 60.0) -> None:
-        """Waits for something that nobody tells; the bound only keeps a broken test from hanging."""
+        """Poll a condition that no event announces; the time limit only keeps a broken test from hanging."""
         pause, deadline = threading.Event(), time.monotonic() + timeout_s
         while not what():
             assert time.monotonic() < deadline
             pause.wait(0.002)
 
     def full(self, engine: Engine) -> None:
-        """Waits until the forces are fully on."""
+        """Wait until forces are fully on."""
         room = records(SAMPLE_DTYPE, 16384)
 
         def settled() -> bool:
@@ -136,7 +135,7 @@ class World:
         self.until(settled)
 
     def arrived(self, engine: Engine, depth_m: float) -> None:
-        """Waits until the servo has seen the handle there."""
+        """Wait until the servo has received this position of the handle."""
         room = records(SAMPLE_DTYPE, 16384)
 
         def seen() -> bool:
@@ -146,12 +145,12 @@ class World:
         self.until(seen)
 
     def later(self, engine: Engine) -> None:
-        """Waits for the end of a tick that has not begun yet."""
+        """Wait for the end of a tick that has not begun yet."""
         ticks = engine.counters().ticks
         self.until(lambda: engine.counters().ticks > ticks + 1)
 
     def contacts(self, engine: Engine) -> npt.NDArray[np.void]:
-        """The contact events since the last look."""
+        """Return the contact events since the previous call."""
         room = records(EVENT_DTYPE, 4096)
         count, _ = engine.read_events(room)
         return room[:count][room["kind"][:count] == EventKind.CONTACT]
@@ -180,7 +179,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
 
 
 def pressed(stick: FakePid, depth_m: float) -> Callable[[], bool]:
-    """Whether the device shows the floor's force at this depth."""
+    """Return whether the device exerts the floor's force at this depth."""
     wanted = STIFFNESS * depth_m / FULL_N
     return lambda: abs(stick.force()[1] - wanted) < 2e-3 and abs(stick.force()[0]) < 0.01
 
@@ -246,13 +245,13 @@ def test_unplugged_and_plugged_in_again_during_contact(world: World) -> None:
     assert (connection.status()["problem"], connection.status()["connects"]) == (None, 2)
     world.until(lambda: EventKind.DEVICE_FOUND in world.events())
     assert "floor" in engine.scene.objects
-    # The fault stays until somebody says so.
+    # The fault stays until a client clears it.
     assert again.force() == (0.0, 0.0)
     engine.set_forces(True)
     again.wait(pressed(again, 0.004))
 
 
-def test_what_is_lost_has_a_reason_before_the_thread_of_the_device_hears_of_it(world: World) -> None:
+def test_a_lost_device_has_a_reason_before_its_thread_notices_the_loss(world: World) -> None:
     world.plug()
     connection = connection_module.Connection(world.open)
     connection.open()
@@ -263,7 +262,7 @@ def test_what_is_lost_has_a_reason_before_the_thread_of_the_device_hears_of_it(w
     connection.stop()
 
 
-def test_a_device_that_was_reset_is_set_up_anew(world: World) -> None:
+def test_a_device_that_was_reset_is_set_up_again(world: World) -> None:
     stick = world.plug()
     engine = world.start()
     world.hold(0.004)
@@ -280,7 +279,7 @@ def test_a_device_that_was_reset_is_set_up_anew(world: World) -> None:
         lambda: connection.status()["states"] == {"actuators": True, "paused": False, "safety": False, "power": False}
     )
     assert connection.status()["connects"] == 1 and connection.status()["resets"] in (1, 2)
-    # It says which effects play, so nothing but the set-up sends directions.
+    # The device reports which effects play, so only the set-up sends directions.
     assert connection.status()["resets_seen"] is True and connection.status()["foreign_effect_s"] is None
 
 
@@ -292,7 +291,7 @@ def test_a_reset_that_leaves_the_actuators_on_is_seen_by_the_effects(world: Worl
     engine.set_forces(True)
     stick.wait(pressed(stick, 0.004))
     for _ in range(3):
-        # Effects have to play on over renewals before it means something that they do not.
+        # A lost effect counts only after effects have played over several renewals.
         stick.log.clear()
         stick.wait(lambda: stick.log.count("operation start 2") >= 8)
         stick.reset(enabled=True)
@@ -303,14 +302,14 @@ def test_a_reset_that_leaves_the_actuators_on_is_seen_by_the_effects(world: Worl
     assert connection is not None and connection.status()["resets"] == 3 and connection.status()["connects"] == 1
 
 
-def test_a_device_that_does_not_say_what_plays_is_left_alone(world: World) -> None:
+def test_a_device_that_does_not_report_what_plays_is_left_alone(world: World) -> None:
     stick = world.plug(tells_playing=False)
     engine = world.start()
     stick.wait(lambda: stick.log.count("operation start 2") >= 12)
     connection = engine.connection
     assert connection is not None and connection.status()["resets"] == 0
     assert stick.log.count("create") == 2
-    # What another program may have changed is sent again and again, and the status says so.
+    # Effects that another program may have changed are restored repeatedly, and the status reports it.
     stick.wait(lambda: min(stick.log.count(f"{what} {n}") for what in ("set_effect", "envelope") for n in (1, 2)) > 3)
     world.until(lambda: connection.status()["resets_seen"] is False)
     lasts = connection.status()["foreign_effect_s"]
@@ -324,7 +323,7 @@ def test_effects_with_other_numbers_after_a_reset(world: World) -> None:
     stick.reset()
     stick.wait(lambda: "operation start 6" in stick.log)
     world.hold(0.004)
-    # The connection began anew, which the servo may have seen as a fault: then forces are off until somebody says so.
+    # The connection began again, which the servo may have seen as a fault: forces then stay off until they are set.
     world.until(lambda: engine.set_forces(True) > 0 and not engine.counters().faults and pressed(stick, 0.004)())
 
 
@@ -353,7 +352,7 @@ def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
     assert [record.message for record in caplog.records if "does not respond" in record.message] == [
         "the device does not respond to its set-up; it is left with a force of zero"
     ]
-    # What the thread still holds stays open; when it comes back it does nothing that would need it.
+    # The thread's device stays open, and the thread no longer uses it when it returns.
     assert not stick.device.closed and thread.is_alive()
     answers.set()
     thread.join(60)
@@ -361,7 +360,7 @@ def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
 
 
 @pytest.mark.slow
-def test_what_status_says(world: World) -> None:
+def test_members_of_the_status(world: World) -> None:
     world.plug()
     engine = world.start()
     answer = Methods(engine).status()
@@ -405,7 +404,7 @@ def test_whether_a_device_reports_steadily_is_heard(
 ) -> None:
     stick = world.plug()
     world.on_change = None
-    if steady:  # a report like the one before it ends that at once
+    if steady:  # two equal reports end the wait at once
         monkeypatch.setattr(connection_module, "FIRST_REPORTS_TIMEOUT_S", 60.0)
     done = threading.Event()
 
@@ -435,8 +434,8 @@ def test_ticks_led_by_the_device(world: World) -> None:
     stick.wait(pressed(stick, 0.004))
 
 
-def test_a_device_that_may_have_lost_what_it_was_told_is_set_up_anew_and_gets_no_force_until_then(world: World) -> None:
-    """As after a suspend of the machine."""
+def test_a_suspect_device_is_set_up_again_before_it_gets_a_force(world: World) -> None:
+    """The state is that after a suspend of the machine."""
     stick = world.plug()
     engine = world.start()
     world.hold(0.004)

@@ -1,4 +1,4 @@
-"""Report descriptors: cases by hand, hid-tools as an oracle of offsets and ranges, and bytes that make no sense."""
+"""Report descriptors: cases computed by hand, hid-tools as the reference of offsets and ranges, and random bytes."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ VARIANTS = [
     Joystick(control="bits"),
     Joystick(direction_bits=16),
     Joystick(direction_bits=0),
-    *(Joystick(magnitude=most, magnitude_bits=bits) for most, bits in ((127, 8), (4096, 16), (10000, 16), (32767, 16))),
+    *(Joystick(magnitude=high, magnitude_bits=bits) for high, bits in ((127, 8), (4096, 16), (10000, 16), (32767, 16))),
     Joystick(magnitude=255, magnitude_bits=8, is_magnitude_signed=False),
     *(Joystick(first_id=number) for number in (2, 20, 33)),
     Joystick(axes=(0x30,), force_axes=(0x30,), directions=1),
@@ -85,7 +85,7 @@ def only(*body: bytes) -> ReportField:
 
 
 @pytest.mark.parametrize(
-    ("items", "least", "most"),
+    ("items", "low", "high"),
     [
         ("15 00 25 FF", 0, 255),
         ("15 00 26 FF FF", 0, 65535),
@@ -101,11 +101,11 @@ def only(*body: bytes) -> ReportField:
         ("15 FF 24", -1, 0),
     ],
 )
-def test_signs_of_a_range(items: str, least: int, most: int) -> None:
+def test_signs_of_a_range(items: str, low: int, high: int) -> None:
     field = only(usage(0x30), bytes.fromhex(items), size(32), data(INPUT))
-    assert (field.logical_min, field.logical_max) == (least, most)
+    assert (field.logical_min, field.logical_max) == (low, high)
     # Without a physical range the logical one counts.
-    assert (field.physical_min, field.physical_max) == (least, most)
+    assert (field.physical_min, field.physical_max) == (low, high)
 
 
 def test_physical_range_and_unit() -> None:
@@ -120,7 +120,7 @@ def test_physical_range_and_unit() -> None:
 
 
 def test_a_physical_range_that_stands_from_another_field() -> None:
-    """It stands, as the specification has it; that it was given for another logical range is reported."""
+    """The range holds, as the specification says; that it was declared for another logical range is reported."""
 
     def one(*items: bytes) -> bytes:
         return usage(0x30) + b"".join(items) + size(8) + data(INPUT)
@@ -296,8 +296,8 @@ ODDITIES = {
 
 
 @pytest.mark.parametrize("name", ODDITIES)
-def test_what_linux_skips_is_skipped_and_told(name: str) -> None:
-    """Between two axes, so that what is skipped must not shift or swallow anything."""
+def test_items_that_linux_skips_are_skipped_and_reported(name: str) -> None:
+    """The skipped item lies between two axes, so that it must not shift or remove a field."""
     odd, message = ODDITIES[name]
     first, second = value(INPUT, 0x30, 0, 255, 8), value(INPUT, 0x31, -5, 5, 8)
     plain = stick(first, second)
@@ -310,7 +310,7 @@ def test_what_linux_skips_is_skipped_and_told(name: str) -> None:
 
 
 def test_an_unknown_main_item_ends_the_local_state_and_others_do_not() -> None:
-    """As in Linux' hid_parser_main; a reserved or unknown local item leaves the usages before it."""
+    """Linux' hid_parser_main does the same; a reserved or unknown local item keeps the usages before it."""
     rest = logical(0, 1) + size(8) + data(INPUT)
     assert usages(only(usage(0x30), bytes([0x0D, 7]), bytes([0xBA, 1, 2]), rest)) == [X]
     assert not only(usage(0x30), bytes([0xD1, 1]), rest).usages
@@ -345,7 +345,7 @@ def test_a_collection_has_the_first_usage_before_it() -> None:
     assert parse(collection(usage_page(DESKTOP) + usage(0x04, 0x01), APPLICATION)).collections[0].usage == 0x10004
 
 
-def test_no_more_is_told_than_a_person_reads() -> None:
+def test_the_list_of_skipped_items_is_limited() -> None:
     found = stick(bytes([0x0D, 7]) * 50, value(INPUT, 0x30, 0, 255, 8))
     assert len(found.skipped) == 17 and found.skipped[-1] == "34 more items"
 
@@ -385,10 +385,10 @@ def test_refused(descriptor: bytes, message: str) -> None:
 
 @pytest.mark.long
 def test_every_truncation_is_refused() -> None:
-    whole = bytes(Joystick())
-    for length in range(len(whole)):
+    complete = bytes(Joystick())
+    for length in range(len(complete)):
         with pytest.raises(DescriptorError):
-            parse(whole[:length])
+            parse(complete[:length])
 
 
 # ---- the oracle ----------------------------------------------------------------------------------------------------
@@ -397,7 +397,7 @@ Rows = list[tuple[object, ...]]
 
 
 def ours(found: Descriptor) -> dict[tuple[str, int], Rows]:
-    """Every element of every report; an array is one, and padding without usages too."""
+    """Return every element of every report; an array counts as one element, and so does padding without usages."""
     rows: dict[tuple[str, int], Rows] = {}
     for field in found.fields:
         row = rows.setdefault((field.kind.value, field.report_id), [])
@@ -422,11 +422,11 @@ def theirs(descriptor: bytes) -> dict[tuple[str, int], Rows]:
             row = rows.setdefault((kind, max(number, 0)), [])
             id_bits = 8 if report.numbered else 0
             for field in report:
-                most = field.logical_max
-                if field.logical_min < 0:  # hid-tools leaves maxima as they stand
-                    bits = 8 if most < 0x100 else 16 if most < 0x10000 else 32
-                    most -= (most >> (bits - 1)) << bits
-                ranged = (field.logical_min, most)
+                high = field.logical_max
+                if field.logical_min < 0:  # hid-tools does not change maxima
+                    bits = 8 if high < 0x100 else 16 if high < 0x10000 else 32
+                    high -= (high >> (bits - 1)) << bits
+                ranged = (field.logical_min, high)
                 if field.is_array:
                     row.append((field.start - id_bits, field.size, *ranged, field.count))
                 elif field.usage:
@@ -474,8 +474,8 @@ field_parts = st.tuples(
 @given(st.lists(field_parts, min_size=1, max_size=12))
 def test_made_up_descriptors_against_hid_tools(parts: list[_Part]) -> None:
     body = b""
-    for kind, flags, number, (least, most), bits, count, names, is_extended, is_pushed in parts:
-        built = usage_page(PID) + logical(least, most) + size(bits, count) + report_id(number)
+    for kind, flags, number, (low, high), bits, count, names, is_extended, is_pushed in parts:
+        built = usage_page(PID) + logical(low, high) + size(bits, count) + report_id(number)
         built += (usage32(BUTTON, *names) if is_extended else usage(*names)) + data(kind, flags)
         # hid-tools does not put report ids on its stack.
         body += push() + built + pop() + report_id(number) if is_pushed else built
@@ -487,7 +487,7 @@ def test_made_up_descriptors_against_hid_tools(parts: list[_Part]) -> None:
 
 
 def check(found: Descriptor) -> None:
-    """Fields of a report follow each other without gap or overlap, and end where it ends."""
+    """Check that the fields of a report have no gaps or overlaps, and end where the report ends."""
     ends: dict[tuple[ReportKind, int], int] = {}
     for field in found.fields:
         report = (field.kind, field.report_id)
@@ -511,7 +511,7 @@ def test_random_bytes(descriptor: bytes) -> None:
 
 
 def mutated(source: random.Random, descriptor: bytes) -> bytes:
-    """A few bytes flipped, removed, repeated or moved."""
+    """Flip, remove, repeat or move a few bytes."""
     data = bytearray(descriptor)
     for _ in range(source.randint(1, 4)):
         at, length = source.randrange(len(data)), source.randint(1, 8)
@@ -539,13 +539,13 @@ def test_mutated_descriptors() -> None:
     source = random.Random(1)
     read = 0
     for joystick in VARIANTS:
-        whole = bytes(joystick)
+        complete = bytes(joystick)
         for _ in range(40):
             try:
-                found = parse(mutated(source, whole))
+                found = parse(mutated(source, complete))
             except DescriptorError as error:
                 assert "\n" not in str(error)
                 continue
             check(found)
             read += 1
-    assert read > 40  # enough of them go through that the check means something
+    assert read > 40  # enough descriptors are valid for the check to be meaningful

@@ -1,4 +1,4 @@
-"""Finding devices in a sysfs of files, and choosing one."""
+"""Finding devices in a sysfs made of files, and choosing one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hapticd.config.hid import Hid
-from hapticd.hid.discovery import Found, choose, find
+from hapticd.hid.discovery import SysfsDevice, choose, find
 from hapticd.hid.plan import DeviceError
 from tests.support.hid_descriptors import (
     APPLICATION,
@@ -30,7 +30,7 @@ MOUSE = collection(usage_page(1) + usage(2), APPLICATION, usage(0x30), logical(-
 
 
 class Machine:
-    """A tree as the kernel has it: class/hidraw links to the HID device, which lies in its USB interface."""
+    """A tree like the kernel's: class/hidraw links to the HID device, which lies in its USB interface."""
 
     def __init__(self, root: Path) -> None:
         self.sysfs, self.dev, self._root = root / "class", root / "dev", root
@@ -64,10 +64,10 @@ class Machine:
         (entry / "device").symlink_to(device)
         (self.dev / f"hidraw{number}").touch()
 
-    def find(self) -> list[Found]:
+    def find(self) -> list[SysfsDevice]:
         return find(self.sysfs, self.dev)
 
-    def choose(self, **keys: Any) -> Found:
+    def choose(self, **keys: Any) -> SysfsDevice:
         return choose(Hid.model_validate(keys), self.find())
 
     def refusal(self, **keys: Any) -> str:
@@ -82,7 +82,7 @@ def machine(tmp_path: Path) -> Machine:
     return Machine(tmp_path)
 
 
-def test_what_sysfs_says(machine: Machine) -> None:
+def test_members_from_sysfs(machine: Machine) -> None:
     machine.add(10, serial="A1")
     machine.add(2, MOUSE, (0x46D, 0xC077), "A mouse", bus=5, endpoints=())
     mouse, stick = machine.find()
@@ -95,7 +95,7 @@ def test_what_sysfs_says(machine: Machine) -> None:
 
 
 def test_resets_are_seen_as_far_as_reports_can_name_our_effects(machine: Machine) -> None:
-    """Of one whose PID State can only name effects that are never ours, a reset is not noticed."""
+    """A reset is not noticed if PID State cannot hold the indices of hapticd's effects."""
     index = logical(1, 40) + physical(1, 40) + size(7) + data(INPUT)
     assert STICK.count(index) == 1
     machine.add(0)
@@ -126,7 +126,7 @@ def test_a_descriptor_that_is_not_valid(machine: Machine) -> None:
     assert "its report descriptor is not valid: report descriptor, byte" in machine.refusal()
 
 
-def test_of_several_the_one_that_suits_the_configuration_is_chosen(machine: Machine) -> None:
+def test_the_device_that_the_configuration_selects_is_chosen_of_several(machine: Machine) -> None:
     machine.add(0, bytes(Joystick(axes=(0x33, 0x34))))
     machine.add(1)
     assert machine.choose().path.endswith("hidraw1")
@@ -190,7 +190,7 @@ def test_no_permission(machine: Machine) -> None:
     assert "no permission: install systemd/70-hapticd.rules" in machine.refusal()
 
 
-def test_no_permission_is_told(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_permission_is_reported(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     machine.add(0)
     monkeypatch.setattr(os, "access", lambda *_: False)
     assert machine.find()[0].permission == "denied"

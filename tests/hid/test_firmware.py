@@ -1,4 +1,4 @@
-"""The simulated firmware does what the specification says: it judges the product, and this judges it."""
+"""The simulated firmware, with which other tests check hapticd, follows the specification."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FULL = 32767
 
 
 class Host:
-    """What a driver sends, from the numbers that a test names."""
+    """Sends what a driver sends, from the numbers that a test gives."""
 
     def __init__(self, stick: Firmware) -> None:
         self.stick = stick
@@ -34,14 +34,14 @@ class Host:
         self.send("control", command)
 
     def create(self, kind: str = "constant_force") -> tuple[str, int, int]:
-        """Status, block and what is left of the memory."""
+        """Create an effect; return its status, its block and the remaining memory."""
         self.stick.set_feature(self.form("create").write(kind))
         load = self.form("load")
         content = load.read(self.stick.get_feature(load.report, load.size + 1)[1:])
         return str(content["chosen"]), int(content["index"]), int(content["ram_pool_available"])
 
     def effect(self, kind: str = "constant_force", *, turns: float = 0.75, **numbers: int) -> int:
-        """A new effect from a direction, east being 0.25, for a second; its block."""
+        """Create an effect of one second that comes from a direction in turns (east is 0.25), and return its block."""
         _, index, _ = self.create(kind)
         asked = {"duration": 1000, "gain": 255, "direction_enable": 1, **numbers}
         self.send("set_effect", kind, index=index, direction=round(36000 * turns), **asked)
@@ -63,7 +63,7 @@ def along_x(stick: Firmware, t_s: float) -> float:
 
 
 def test_a_descriptor_is_read_bit_by_bit() -> None:
-    """Set Effect of the captured joystick: block, type, times, gain, trigger button, flags, direction."""
+    """Set Effect of the captured joystick has block, type, times, gain, trigger button, flags and direction."""
     places = [place for place in places_of(descriptors.SIDEWINDER_FF2) if place.kind == OUTPUT and place.report == 1]
     at = {place.usages[0] & 0xFFFF: (place.at, place.bits) for place in places if place.usages}
     assert at[0x22] == (0, 8) and at[0x50] == (16, 16) and at[0x52] == (64, 8) and at[0x53] == (72, 8)
@@ -164,7 +164,7 @@ def test_stop_solo_pause_and_reset(host: Host) -> None:
     assert stick.force() == (0.0, 0.0)
     stick.now = 2.0
     host.control("device_continue")
-    # What was left of its second when it was paused.
+    # The rest of the second at the moment of the pause.
     assert along_x(stick, 2.59) == pytest.approx(0.25, abs=1e-4) and along_x(stick, 2.61) == 0.0
     host.control("disable_actuators")
     assert stick.force() == (0.0, 0.0)
@@ -190,7 +190,7 @@ def test_conditions(host: Host) -> None:
         beyond = 0.5 * math.sin(2.0 * t_s) - 0.1
         wanted = -0.5 * max(beyond - 0.125, 0.0)
         assert stick.force(t_s) == pytest.approx((wanted, -(0.25 - 0.125)), abs=1e-4), t_s
-    # To the other side its coefficient is the other one, up to its saturation.
+    # In the other direction the other coefficient applies, up to its saturation.
     assert stick.force(0.99)[0] < 0.0
     stick.motion = lambda t_s: (-0.5, 0.0)
     assert stick.force() == (pytest.approx(FULL // 4 / FULL), 0.0)
@@ -232,8 +232,8 @@ def test_pools() -> None:
     assert asked == [40, 40, 1, 4, -1, -1]
 
 
-def test_a_stranger_gets_the_block_that_was_ours(host: Host) -> None:
-    """Firmware that takes reports for effects it has lost mixes theirs with ours."""
+def test_another_program_gets_the_block_of_a_lost_effect(host: Host) -> None:
+    """Firmware that accepts reports for lost effects mixes another program's effects with hapticd's."""
     with Firmware(FINE, Variant(takes_unknown=True)) as stick:
         ours = Host(stick)
         index = ours.effect(turns=0.75)

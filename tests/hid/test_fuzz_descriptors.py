@@ -1,4 +1,4 @@
-"""A short run of the fuzzer of report descriptors, what the long ones found, and that it would find something."""
+"""A short run of the descriptor fuzzer, defects that long runs found, and proofs that the fuzzer finds defects."""
 
 from __future__ import annotations
 
@@ -34,18 +34,16 @@ def test_more_descriptors() -> None:
     assert outcomes["driven"] > 1000 and outcomes["not drivable"] > 100
 
 
-def test_what_they_begin_from_is_driven() -> None:
-    """But for the one that has no constant force."""
+def test_the_initial_descriptors_can_be_driven() -> None:
+    """All initial descriptors can be driven, except the one without a constant force."""
     refused = [at for at, descriptor in enumerate(fuzz.DEVICES) if not verdict_of(Hid(), descriptor).drivable]
     assert refused == [fuzz.DEVICES.index(fuzz.known.XBOX_ONE_S)]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("command", [False, True])
-def test_the_command_says_what_the_driver_does(
-    command: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The first line of `devices parse` against a set-up, over mutated descriptors."""
+def test_the_command_agrees_with_the_driver(command: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first line of `devices parse` agrees with a set-up, over mutated descriptors."""
     source, file = random.Random(109), tmp_path / "descriptor"
     items = fuzz.items_of(STICK)
     seen = set()
@@ -65,7 +63,7 @@ def test_the_command_says_what_the_driver_does(
 
 
 def test_a_number_outside_of_its_field_is_found() -> None:
-    """Set Constant Force of effect 1: one beyond the magnitude, one short of it, another report, another length."""
+    """Set Constant Force of effect 1: a magnitude one too large or small, another report, another length."""
     reports = reports_of(STICK)
     number = Joystick().ids()["constant_force"]
 
@@ -87,18 +85,18 @@ def instead(old: bytes, new: bytes) -> bytes:
 
 
 def test_a_load_status_that_cannot_say_success_is_not_waited_for() -> None:
-    """The index says that the effect is there; each set-up took 0.3 s and failed."""
+    """The index shows that the effect was created. Each set-up took 0.3 s and failed before."""
     layout = layout_of(parse(instead(usage(0x8C, 0x8D, 0x8E), usage(0x8B, 0x8D, 0x8E))))
     assert layout.block_load is not None and layout.block_load.status is None
     assert PidDriver(layout, Hid()).set_up(fuzz.Loader(layout, 40)).renew
 
 
 def test_times_in_parts_of_a_picosecond_do_not_overflow() -> None:
-    """A fade of 0.1 s is 4e20 counts, more than 64 bits hold: the longest that the field holds is taken."""
-    numbers = periodic_of(layout_of(parse(bytes(Joystick(time_exponent=-4)))), Hid(), [1]).numbers
-    tiny = replace(numbers.fade_time, counts_per_unit=4e21)
-    times = _tried_times(0.05, replace(numbers, fade_time=tiny))
-    assert len(times.fade) and set(times.fade.tolist()) <= {0, tiny.most}
+    """A fade of 0.1 s is 4e20 counts, more than 64 bits hold: the longest time of the field is used."""
+    scales = periodic_of(layout_of(parse(bytes(Joystick(time_exponent=-4)))), Hid(), [1]).scales
+    tiny = replace(scales.fade_time, counts_per_unit=4e21)
+    times = _tried_times(0.05, replace(scales, fade_time=tiny))
+    assert len(times.fade) and set(times.fade.tolist()) <= {0, tiny.max_counts}
 
 
 def test_an_index_that_block_free_cannot_carry_is_not_freed_as_another() -> None:

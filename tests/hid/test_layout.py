@@ -1,4 +1,4 @@
-"""What would be driven: offsets computed by hand, what is missing by name, and layouts of mutated descriptors."""
+"""Layouts of descriptors: offsets computed by hand, names of missing reports, and mutated descriptors."""
 
 from __future__ import annotations
 
@@ -199,9 +199,9 @@ def test_directions_of_16_bits() -> None:
     assert effect.report_bytes == 18
 
 
-@pytest.mark.parametrize(("least", "is_cartesian"), [(-127, True), (0, False)])
-def test_directions_by_axis(least: int, is_cartesian: bool) -> None:
-    angles = usage_page(DESKTOP) + usage(0x30, 0x31) + logical(least, 127) + size(8, 2) + data(OUTPUT)
+@pytest.mark.parametrize(("low", "is_cartesian"), [(-127, True), (0, False)])
+def test_directions_by_axis(low: int, is_cartesian: bool) -> None:
+    angles = usage_page(DESKTOP) + usage(0x30, 0x31) + logical(low, 127) + size(8, 2) + data(OUTPUT)
     types = usage_page(PID) + usage(0x26) + logical(1, 1) + size(8) + data(OUTPUT, 0)
     effect = collection(
         usage_page(PID) + usage(0x21),
@@ -211,7 +211,7 @@ def test_directions_by_axis(least: int, is_cartesian: bool) -> None:
     )
     found = layout(bytes(Joystick(without=frozenset({0x21}))) + effect).set_effect
     assert found is not None
-    assert [place(angle) for angle in found.direction] == [(9, 24, 8, least, 127), (9, 32, 8, least, 127)]
+    assert [place(angle) for angle in found.direction] == [(9, 24, 8, low, 127), (9, 32, 8, low, 127)]
     assert found.is_direction_cartesian == is_cartesian
 
 
@@ -263,7 +263,7 @@ def test_how_it_is_written_does_not_matter(change: dict[str, bool]) -> None:
         (0x50, "Set Effect: Duration"),
     ],
 )
-def test_what_is_missing_is_named(without: int, name: str) -> None:
+def test_missing_reports_and_fields_are_named(without: int, name: str) -> None:
     joystick = Joystick(without=frozenset({without}))
     found = layout(joystick)
     assert not found.usable
@@ -277,7 +277,7 @@ def test_optional_reports_may_be_missing() -> None:
     assert found.set_effect is not None and found.set_effect.start_delay is None
 
 
-def test_rumble_on_the_pid_page_is_no_constant_force() -> None:
+def test_rumble_on_the_pid_page_is_not_a_constant_force() -> None:
     rumble = collection(
         usage_page(PID) + usage(0x21),
         LOGICAL,
@@ -317,7 +317,7 @@ def test_ranges_that_do_not_fit() -> None:
     found = layout(Joystick(axis_bits=10))
     assert found.missing == ("Joystick: X or Y",)
     assert len(found.problems) == 2
-    # Where nothing is scaled, what fits is taken.
+    # The range of a field without a scale is limited to the field's bits.
     found = layout(Joystick(indices=300))
     assert found.usable and found.effect_indices == (1, 255)
 
@@ -359,7 +359,7 @@ def test_the_complete_one_of_two_reports() -> None:
 
 
 def test_fields_of_one_report_only() -> None:
-    """A magnitude of another report id is no part of the report, whatever the collection says."""
+    """A magnitude with another report id does not belong to the report, even in the same collection."""
     force = collection(
         usage_page(PID) + usage(0x73),
         LOGICAL,
@@ -387,8 +387,8 @@ def test_axes_of_a_report_that_has_both() -> None:
     assert {name: place(axis.field)[:2] for name, axis in found.input.items()} == {"x": (2, 8), "y": (2, 0)}
 
 
-def test_what_is_no_axis() -> None:
-    """A mouse's motion, constants, and the pointer of another application."""
+def test_fields_that_are_not_axes() -> None:
+    """The motion of a mouse, constants, and the pointer of another application are not axes."""
     relative = report_id(1) + usage(0x30) + logical(-127, 127) + size(8) + data(INPUT, 6)
     constant = report_id(2) + usage(0x30) + logical(0, 255) + size(8) + data(INPUT, CONSTANT)
     mouse = collection(usage(2), APPLICATION, report_id(3) + usage(0x30) + size(8) + data(INPUT))
@@ -425,13 +425,13 @@ def test_seconds() -> None:
     assert effect.gain.seconds_per_count() is None
 
 
-def test_a_physical_range_of_an_earlier_field_is_no_scale() -> None:
-    """A duration of 1 ms a count, whatever range the effect types before it were given."""
-    whole = bytes(Joystick())
+def test_a_physical_range_of_an_earlier_field_is_ignored() -> None:
+    """A count of the duration is 1 ms, whatever range was declared for the effect types before it."""
+    complete = bytes(Joystick())
     own = logical(0, 32767) + physical(0, 32767)
-    first = whole.index(own)  # of Duration; Effect Type before it has 1 to 11
-    stale = whole[:first] + logical(0, 32767) + whole[first + len(own) :]
-    effect, expected = layout(stale).set_effect, layout(whole).set_effect
+    first = complete.index(own)  # of Duration; Effect Type before it has 1 to 11
+    stale = complete[:first] + logical(0, 32767) + complete[first + len(own) :]
+    effect, expected = layout(stale).set_effect, layout(complete).set_effect
     assert effect is not None and expected is not None
     assert effect.duration == expected.duration
     assert effect.duration.seconds_per_count() == pytest.approx(1e-3)
@@ -462,7 +462,7 @@ def test_a_turn(items: bytes, turn: float) -> None:
         (logical(-180, 180) + physical(0, 360) + unit(0x14), -180),
         (logical(0, 255) + physical(-180, 180) + unit(0), 127.5),
         (logical(-128, 127) + physical(-31416, 31416) + unit(0x12, -4), -0.5),
-        # No range of angles: the counts are the angle.
+        # Without a range of angles the counts are the angle.
         (logical(-180, 180) + physical(0, 0) + unit(0), 0),
         (logical(1, 255) + physical(0, 0) + unit(0), 1),
         (logical(0, 255) + physical(-10000, 10000) + unit(0), 0),
@@ -484,7 +484,7 @@ def test_numbers_that_the_core_has_too() -> None:
 
 
 def check(descriptor: Descriptor, found: Layout) -> None:
-    """Every field lies within its report and can hold its range; the layout says all that it promises."""
+    """Check that every field lies within its report and can hold its range, and that the layout is consistent."""
     kinds = {"input": ReportKind.INPUT, "pid_state": ReportKind.INPUT}
     kinds |= dict.fromkeys(("create_new_effect", "block_load", "pool"), ReportKind.FEATURE)
     for part in dataclasses.fields(found):
@@ -516,10 +516,10 @@ def test_layouts_of_mutated_descriptors() -> None:
     source = random.Random(2)
     usable = 0
     for joystick in VARIANTS:
-        whole = bytes(joystick)
+        complete = bytes(joystick)
         for _ in range(40):
             try:
-                descriptor = parse(mutated(source, whole))
+                descriptor = parse(mutated(source, complete))
             except DescriptorError:
                 continue
             found = layout_of(descriptor)

@@ -1,4 +1,4 @@
-"""What a link costs (bench/link.py): against figures worked out without the simulation, and the page that tells it."""
+"""Costs of a link (bench/link.py), compared with values computed without a simulation, and with the documentation."""
 
 from __future__ import annotations
 
@@ -17,10 +17,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def staircase_error(mode: Mode, frame_s: float) -> float:
-    """The least error, over delays, of a mode that begins with a frame's position and is held from frame to frame.
-
-    What leaves with a frame is the force of the last tick before it.
-    """
+    """Return the smallest error, over delays, of a mode that is sampled before each frame and held for a frame."""
     step_s = frame_s / 200
     time_s = np.arange(0, 6 / mode.decay_rate_per_s + 4 * frame_s, step_s) + step_s / 2
 
@@ -44,7 +41,7 @@ def test_a_tap_behind_a_link_is_its_closed_form_held(name: str, link_hz: float) 
     assert found is not None
     delay_s, error = found
     expected = staircase_error(material.tap.mode, 1 / link_hz)
-    # The beginning lies anywhere within a tick.
+    # The onset lies anywhere within a tick.
     assert error == pytest.approx(expected, rel=0.05)
     assert 1.5 / link_hz < delay_s < 2.5 / link_hz + 1e-4
 
@@ -58,7 +55,7 @@ def test_without_a_link_little_is_left() -> None:
 
 
 @pytest.mark.long
-def test_what_is_above_the_link_is_silent() -> None:
+def test_modes_above_the_rate_of_the_link_are_silent() -> None:
     for name, link_hz, silent in (("steel", 1000.0, True), ("wood", 250.0, False), ("acrylic", 250.0, True)):
         assert (link.struck_error(name, shipped_materials()[name], link_hz) is None) == silent
     assert link.stroked_error("sandpaper_400", 500.0) is None
@@ -66,7 +63,7 @@ def test_what_is_above_the_link_is_silent() -> None:
 
 @pytest.mark.long
 def test_walls_become_unstable_when_their_lateness_undoes_the_damping() -> None:
-    """K times the mean age of the force against the damping of hand and handle; dry friction allows a little more."""
+    """Stiffness times the force's mean age equals the damping of hand and handle, a little more with dry friction."""
     sim = Sim()
     damping = sim.handle_damping_n_s_per_m + sim.hand.damping_n_s_per_m
     for link_hz in (1000.0, 500.0):
@@ -75,7 +72,7 @@ def test_walls_become_unstable_when_their_lateness_undoes_the_damping() -> None:
 
 
 @pytest.mark.long
-def test_the_page_has_what_is_computed() -> None:
+def test_the_page_has_the_computed_values() -> None:
     text = (ROOT / "docs" / "devices.md").read_text()
     rows = [line for line in text.splitlines() if line.startswith("| 1000 Hz |")]
     assert len(rows) == 1

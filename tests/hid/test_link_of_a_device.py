@@ -1,4 +1,4 @@
-"""The HID side of the boundary as Python sees it: a socket pair stands for the hidraw node."""
+"""C's HID interface as Python uses it, with a socket pair in place of the hidraw node."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PATIENCE_S = 30.0
 
 
 def new_plan() -> CData:
-    """Report 1: x and y, 16 bits, 0.1 mm a count; report 2: actuators on. Output 5: two forces, 100 a newton."""
+    """Return a plan. Report 1: x, y, 16 bits, 0.1 mm/count; 2: actuators on. Output 5: two forces, 100 counts/N."""
     plan = ffi.new("struct hd_hid_plan *")
     for axis in range(2):
         plan.axes[axis].field = {"bit_offset": 16 * axis, "bit_size": 16, "is_signed": 1}
@@ -90,7 +90,7 @@ def test_a_connection_from_end_to_end(hid: CData, pair: tuple[socket.socket, soc
 def test_a_fault_of_its_threads_reaches_the_handler_that_ends_the_force(
     hid: CData, pair: tuple[socket.socket, socket.socket]
 ) -> None:
-    """Where its signal is blocked, the kernel ends the process at once."""
+    """In a thread that blocks the signal, the kernel would end the process at once."""
     ours, device = pair
     before = set(os.listdir("/proc/self/task"))
     assert lib.hd_hid_connect(hid, new_plan(), ours.fileno(), 0) == Status.OK
@@ -136,7 +136,7 @@ def test_a_wake_ends_a_wait(hid: CData) -> None:
 
 @pytest.mark.parametrize("force", [(2.0, 0.0), (0.0, 3.0), (-1.5, 2.0), (-1.0, -1.0), (0.0, -4.0)])
 def test_direction_and_magnitude(force: tuple[float, float]) -> None:
-    """Where it comes from, clockwise from north: 90 degrees pushes to the left."""
+    """A direction is where a force comes from, clockwise from north: 90 degrees pushes to the left."""
     message = ffi.new("struct hd_hid_message *")
     message.length = 4
     message.value_count = 2

@@ -1,5 +1,4 @@
-"""Modes that a device plays by itself: the nearest effect, the reports that carry it, and a whole engine over a device
-that knows periodic effects."""
+"""Modes that the device plays: the nearest effect, the reports that carry it, and an engine with such a device."""
 
 from __future__ import annotations
 
@@ -27,7 +26,7 @@ from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.drivers.pid_plan import periodic_of
 from hapticd.hid.nearest_effect import MAX_EFFECT_S, NearestEffect, nearest_effect, streamed_error
 from hapticd.hid.offload import Offload, effect_messages
-from hapticd.hid.plan import DeviceError, Message, Numbers, Periodic, Plan
+from hapticd.hid.plan import DeviceError, Message, Periodic, PeriodicScales, Plan
 from hapticd.protocol.changes import Played
 from tests.hid.test_connection import FULL_N, World, pressed
 from tests.hid.test_connection import world as world
@@ -54,8 +53,8 @@ def periodic(like: Joystick, count: int = 8, **keys: Any) -> Periodic:
     return periodic_of(layout, Hid.model_validate({"offload": "auto", **keys}), range(3, 3 + count))
 
 
-def numbers(like: Joystick) -> Numbers:
-    return periodic(like).numbers
+def scales(like: Joystick) -> PeriodicScales:
+    return periodic(like).scales
 
 
 def wanted(mode: Mode, time_s: Floats) -> Floats:
@@ -64,18 +63,18 @@ def wanted(mode: Mode, time_s: Floats) -> Floats:
 
 
 def power(mode: Mode) -> float:
-    """The integral of the mode's square over all time, in closed form."""
+    """Return the integral of the mode's square over all time, in closed form."""
     b, w = mode.decay_rate_per_s, mode.angular_frequency_rad_per_s
     return w * w / (4.0 * b * (b * b + w * w))
 
 
 def distance(mode: Mode, shown: Floats, time_s: Floats) -> float:
-    """RMS of the difference over the mode's, by the trapezoidal rule."""
+    """Return the RMS of the difference divided by that of the mode, by the trapezoidal rule."""
     return math.sqrt(float(np.trapezoid((shown - wanted(mode, time_s)) ** 2, time_s)) / power(mode))
 
 
 def played(found: NearestEffect, unit_s: float, time_s: Floats) -> Floats:
-    """A fit, drawn anew from its counts."""
+    """Return the curve of an effect, computed from its counts."""
     knots = np.array([0, found.attack, found.duration - found.fade, found.duration]) * unit_s
     levels = [found.attack_level, found.magnitude, found.magnitude, found.fade_level]
     if found.attack == 0:
@@ -89,7 +88,7 @@ def played(found: NearestEffect, unit_s: float, time_s: Floats) -> Floats:
 
 @pytest.mark.parametrize("name", rest_slow(reversed(SOFT)))
 def test_no_effect_of_whole_milliseconds_is_nearer(name: str) -> None:
-    """Every effect there is, with scipy's non-negative least squares."""
+    """Compare with every possible effect, by scipy's non-negative least squares."""
     mode = mode_of(name)
     time_s = (np.arange(4000) + 0.5) * 6 * mode.decay_time_s / 4000
     target = wanted(mode, time_s)
@@ -104,7 +103,7 @@ def test_no_effect_of_whole_milliseconds_is_nearer(name: str) -> None:
                 lines[:, time_s > end * 1e-3] = 0.0
                 _, left = nnls((lines * sine).T, target)
                 best = min(best, left / math.sqrt(target @ target))
-    found = nearest_effect(mode, numbers(replace(Joystick(), level=10000)))
+    found = nearest_effect(mode, scales(replace(Joystick(), level=10000)))
     assert found is not None
     assert found.error == pytest.approx(best, abs=0.002)
 
@@ -113,7 +112,7 @@ def test_no_effect_of_whole_milliseconds_is_nearer(name: str) -> None:
 @pytest.mark.parametrize("exponent", [-3, -4, -5])
 def test_the_error_is_that_of_the_effect(name: str, exponent: int) -> None:
     mode = mode_of(name)
-    found = nearest_effect(mode, numbers(Joystick(time_exponent=exponent, level=10000)))
+    found = nearest_effect(mode, scales(Joystick(time_exponent=exponent, level=10000)))
     assert found is not None
     time_s = np.linspace(0.0, max(12 * mode.decay_time_s, found.duration_s), 200_001)
     assert distance(mode, played(found, 10.0**exponent, time_s), time_s) == pytest.approx(found.error, abs=0.005)
@@ -124,16 +123,16 @@ def test_the_error_is_that_of_the_effect(name: str, exponent: int) -> None:
 
 @pytest.mark.parametrize("name", METALS)
 def test_metals_need_tenths_of_a_millisecond(name: str) -> None:
-    fine, coarse = (nearest_effect(mode_of(name), numbers(Joystick(time_exponent=exponent))) for exponent in (-4, -3))
+    fine, coarse = (nearest_effect(mode_of(name), scales(Joystick(time_exponent=exponent))) for exponent in (-4, -3))
     assert fine is not None and coarse is not None
     assert 0.05 < fine.error < 0.115
     assert coarse.error > 0.5
 
 
 def test_levels_are_those_that_the_device_has() -> None:
-    """Two counts for a level: what is reported is what two counts give."""
+    """If a level has two counts, the reported error is that of two counts."""
     mode = mode_of("wood")
-    found = nearest_effect(mode, numbers(Joystick(level=2)))
+    found = nearest_effect(mode, scales(Joystick(level=2)))
     assert found is not None
     ratios = {round(2 * level / found.peak, 9) for level in (found.attack_level, found.magnitude, found.fade_level)}
     assert ratios <= {0.0, 1.0, 2.0}
@@ -142,9 +141,9 @@ def test_levels_are_those_that_the_device_has() -> None:
 
 
 def test_no_effect_is_longer_than_a_tenth_of_a_second() -> None:
-    slow = nearest_effect(Mode(decay_rate_per_s=1.0, angular_frequency_rad_per_s=300.0), numbers(Joystick()))
+    slow = nearest_effect(Mode(decay_rate_per_s=1.0, angular_frequency_rad_per_s=300.0), scales(Joystick()))
     assert slow is not None and slow.duration_s <= MAX_EFFECT_S
-    # What is left of the mode after the tenth: exp(-2 * 0.1) of its power.
+    # After 0.1 s a fraction exp(-2 * 0.1) of the mode's power remains.
     assert slow.error >= math.exp(-0.1) - 0.01
 
 
@@ -153,14 +152,14 @@ def test_extreme_modes_and_devices() -> None:
     for decay in (0.1, 1.0, 1e3, 1e6):
         for angular in (0.05, 1e3, 1e6):
             for like in (Joystick(), Joystick(time_exponent=-6), Joystick(time_exponent=0, level=1)):
-                found = nearest_effect(Mode(decay, angular), numbers(like))
+                found = nearest_effect(Mode(decay, angular), scales(like))
                 assert found is None or (0.0 <= found.error <= 1.0 + 1e-9 and found.duration_s <= MAX_EFFECT_S)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("cycles_per_frame", [0.01, 0.067, 0.2, 0.39])
-def test_what_a_held_sine_is_off(cycles_per_frame: float) -> None:
-    """Against a sine that is drawn and held, at the delay that suits it best."""
+def test_error_of_a_held_sine(cycles_per_frame: float) -> None:
+    """Compare with a sine that is sampled and held, at the delay that fits best."""
     fine, frames = 200, 4000
     at = np.arange(fine * frames) / fine
     held = np.sin(2 * np.pi * cycles_per_frame * np.floor(at))
@@ -177,7 +176,7 @@ def test_what_a_held_sine_is_off(cycles_per_frame: float) -> None:
 
 
 def compose(messages: Iterable[Message], force_n: tuple[float, float]) -> Iterator[bytes]:
-    """What C makes of these messages."""
+    """Return the reports that C makes of these messages."""
     room = ffi.new("uint8_t[]", 256)
     for message in messages:
         into = ffi.new("struct hd_hid_message *", message.for_c())
@@ -200,11 +199,11 @@ DEVICES = {
 @pytest.mark.parametrize("name", DEVICES)
 @settings(max_examples=25)
 @given(angle=st.floats(0, 2 * math.pi), part=st.floats(0.02, 3.0))
-def test_what_the_device_shows_is_the_mode(name: str, angle: float, part: float) -> None:
+def test_the_device_plays_the_mode(name: str, angle: float, part: float) -> None:
     like, mode = DEVICES[name], mode_of("wood")
     stick = FakePid.__new__(FakePid)
     stick.layout = layout_of(parse(bytes(like)))
-    found = nearest_effect(mode, numbers(like))
+    found = nearest_effect(mode, scales(like))
     assert found is not None
     force = part * FULL_N
     size = min(force, FULL_N / found.peak * 0.999)
@@ -214,7 +213,7 @@ def test_what_the_device_shows_is_the_mode(name: str, angle: float, part: float)
     shown = FULL_N * stick.shown(strike, time_s)
     along = shown @ [math.sin(angle), math.cos(angle)]
     across = shown @ [math.cos(angle), -math.sin(angle)]
-    # Half a count of each level, beside what the fit is off.
+    # Half a count of each level, in addition to the error of the fit.
     rounding = 0.5 * FULL_N / like.level / (size * math.sqrt(power(mode) / found.duration_s)) + 0.03
     assert distance(mode, along / size, time_s) <= found.error + rounding
     assert np.abs(across).max() <= 0.03 * size
@@ -239,7 +238,7 @@ def test_set_up_makes_as_many_effects_as_there_is_room_for() -> None:
             for message in plan.stop:
                 stick.take(message.data)
             assert not stick.effects and not stick.enabled
-            # The forces first, what only costs room last.
+            # Forces are stopped first; periodic effects, which only take room, are freed last.
             assert stick.log[:2] == ["operation stop 1", "operation stop 2"]
             assert stick.log.index("disable_actuators") < stick.log.index("block_free 3")
 
@@ -305,7 +304,7 @@ def test_a_mode_keeps_its_effect_while_it_is_used() -> None:
     assert first is not None and second is not None and first.id != second.id
     assert held.take(delrin) is None
     held.give(steel)
-    # It was refused, and stays so as long as it is used: its record says so.
+    # The mode was streamed, and stays so while it is used, because its record was compiled for that.
     assert held.take(delrin) is None
     held.give(delrin)
     held.give(delrin)
@@ -316,7 +315,7 @@ def test_a_mode_keeps_its_effect_while_it_is_used() -> None:
     assert held.take(steel) is None
 
 
-def test_what_is_no_longer_used_keeps_its_effect_until_that_is_needed() -> None:
+def test_an_unused_mode_keeps_its_effect_until_another_mode_needs_it() -> None:
     held = offload()
     wood, steel = mode_of("wood"), mode_of("steel")
     first = held.take(wood)
@@ -329,7 +328,7 @@ def test_what_is_no_longer_used_keeps_its_effect_until_that_is_needed() -> None:
     assert again is None
 
 
-def test_a_device_with_other_effects_plays_none() -> None:
+def test_a_device_with_other_effects_plays_no_mode() -> None:
     held = offload()
     wood = mode_of("wood")
     assert held.take(wood) is not None and held.shown_hz(wood) is not None
@@ -343,7 +342,7 @@ def test_a_device_with_other_effects_plays_none() -> None:
     assert held.shown_hz(wood) is not None and held.outcomes(material)[0].refused is None
 
 
-def test_what_is_told_and_why() -> None:
+def test_outcomes_and_their_reasons() -> None:
     materials: dict[str, Material] = {name: shipped_materials()[name] for name in ("wood", "steel", "cellophane")}
     coarse = Offload(ffi.gc(lib.hd_hid_new(), lib.hd_hid_free))
     coarse.set_carried(10_000.0)
@@ -365,7 +364,7 @@ def test_what_is_told_and_why() -> None:
     assert coarse.outcomes(materials)[1].streamed_error_percent == 100.0
 
 
-# ---- A whole engine --------------------------------------------------------------------------------------------------
+# ---- A complete engine -----------------------------------------------------------------------------------------------
 
 SCENE = {
     "objects": {
@@ -393,8 +392,8 @@ def ringing(world: World) -> World:
 
 
 def near(stick: FakePid, strike: Strike, coefficient_n: float, direction: tuple[float, float]) -> bool:
-    """Whether a strike is the mode with this coefficient, within what is reported of it."""
-    found = nearest_effect(MODE, numbers(FINE))
+    """Return whether a strike is the mode with this coefficient, within the reported error."""
+    found = nearest_effect(MODE, scales(FINE))
     assert found is not None
     time_s = np.linspace(0.0, 12 * MODE.decay_time_s, 20_001)
     along = FULL_N * stick.shown(strike, time_s) @ np.array(direction)
@@ -402,7 +401,7 @@ def near(stick: FakePid, strike: Strike, coefficient_n: float, direction: tuple[
 
 
 def struck(world: World, methods: Methods, stick: FakePid, **play: object) -> Strike:
-    """Plays until the device has struck, and how. What it would have struck late was lost, and counted: again."""
+    """Play until the device has struck, and return the strike. A late strike is lost and counted: repeat."""
     engine, before = methods._engine, len(stick.strikes)
 
     def over(lost: int) -> bool:
@@ -429,7 +428,7 @@ def test_play_is_left_to_the_device(ringing: World) -> None:
     ringing.full(engine)
     strike = struck(ringing, methods, stick, direction=[0, -1], amplitude_m_per_s2=40.0)
     assert near(stick, strike, 40.0 * MASS_KG, (0.0, -1.0))
-    # Again as strong and the same way: its start is all there is to say.
+    # With the same strength and direction, only the start is sent.
     stick.log.clear()
     index = struck(ringing, methods, stick, direction=[0, -1], amplitude_m_per_s2=40.0).index
     sent = [line for line in stick.log if line.endswith(f" {index}")]
@@ -442,7 +441,7 @@ def test_play_is_left_to_the_device(ringing: World) -> None:
 
 
 def fit_hz() -> float:
-    found = nearest_effect(MODE, numbers(FINE))
+    found = nearest_effect(MODE, scales(FINE))
     assert found is not None
     return found.frequency_hz
 
@@ -463,13 +462,13 @@ def test_a_tap_is_played_with_the_strength_of_its_event(ringing: World) -> None:
     strikes_n: list[float] = []
 
     def tapped() -> bool:
-        """A tap that falls into a stall is none, and one that the device would have struck late is lost."""
+        """Tap until the device strikes. A tap during a stall does not count, and a late strike is lost."""
         lost, before = connection_status(engine)["strikes_lost"], len(strikes_n)
         for depth_m in (-0.001, 0.0005, 0.0015):
             ringing.hold(depth_m)
         ringing.arrived(engine, 0.0015)
         ringing.later(engine)
-        # What is met anew after a stall is a contact, too, and strikes nothing.
+        # A contact that begins again after a stall causes no strike.
         strengths = [float(event["amplitude_m_per_s2"] * event["scale"]) for event in ringing.contacts(engine)]
         strikes_n.extend(strength for strength in strengths if strength > 0.0)
         if len(strikes_n) > before:
@@ -484,18 +483,18 @@ def test_a_tap_is_played_with_the_strength_of_its_event(ringing: World) -> None:
     assert near(stick, strike, strikes_n[-1] * MASS_KG, (0.0, 1.0))
 
 
-def test_nothing_is_played_while_forces_are_off_and_what_plays_is_stopped(ringing: World) -> None:
+def test_effects_are_stopped_with_the_forces_and_not_started_without_them(ringing: World) -> None:
     stick = ringing.plug()
     engine = ringing.start()
     methods = Methods(engine)
 
     def stopped() -> bool:
-        """Forces off while it plays; it does for no longer than a tenth of a second."""
+        """Turn forces off while the effect plays, which lasts at most 0.1 s more."""
         engine.set_forces(True)
         ringing.full(engine)
         index = struck(ringing, methods, stick, direction=[0, 1], amplitude_m_per_s2=10.0).index
         engine.set_forces(False)
-        # A fade under way: a strike is no strike of the device.
+        # During the fade, the device does not play a strike.
         before, renewed = len(stick.strikes), stick.log.count("operation start 1")
         engine.play(MODE, "coefficient", (0.0, 1.0), 10.0)
         stick.wait(lambda: stick.log.count("operation start 1") >= renewed + 3)
@@ -519,7 +518,7 @@ def test_an_unplugged_device_and_a_reset(ringing: World) -> None:
     engine.set_forces(True)
     ringing.full(engine)
     struck(ringing, methods, stick, direction=[0, 1], amplitude_m_per_s2=10.0)
-    # Its effects are gone and made again, and everything has to be sent again.
+    # Its effects were lost and created again, so everything must be sent again.
     stick.reset()
     ringing.until(lambda: connection_status(engine)["resets"] >= 1)
     ringing.until(lambda: play_until(methods, play, stick, 2))
@@ -539,13 +538,13 @@ def play_until(methods: Methods, play: dict[str, Any], stick: FakePid, count: in
     return len(stick.strikes) >= count
 
 
-def test_status_says_what_is_offloaded_and_what_is_not(ringing: World) -> None:
+def test_the_status_reports_which_modes_are_offloaded(ringing: World) -> None:
     ringing.plug()
     engine = ringing.start()
     status = Methods(engine).status()
     outcomes = {entry["material"]: entry for entry in status["offload"]}  # type: ignore[attr-defined]
     assert outcomes.keys() == {"ringing", "glass"}
-    found = nearest_effect(MODE, numbers(FINE))
+    found = nearest_effect(MODE, scales(FINE))
     assert found is not None
     assert outcomes["ringing"] == {
         "material": "ringing",
@@ -558,7 +557,7 @@ def test_status_says_what_is_offloaded_and_what_is_not(ringing: World) -> None:
         "streamed_error_percent": 100.0,
         "refused": None,
     }
-    # What the device plays is not silent.
+    # A mode that the device plays is not silent.
     assert status["undisplayable"] == []
     silent = {"materials": {"glass": {"tap": {"frequency_hz": 4700.0}}}}
     Methods(engine).call("update_materials", silent)

@@ -1,4 +1,4 @@
-"""Set-up of PID devices and the plans that come of it, against a device that reads every report by itself."""
+"""Set-up and plans of PID devices, with a simulated device that parses every report independently."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def joystick(like: Joystick | None = None, **keys: Any) -> Iterator[FakePid]:
 
 
 def send(stick: FakePid, plan: Plan, force_n: tuple[float, float]) -> None:
-    """What C sends for a force."""
+    """Return the reports that C sends for a force."""
     described = plan.to_c()
     for place, message in enumerate(plan.force):
         room = ffi.new("uint8_t[]", len(message.data))
@@ -91,7 +91,7 @@ def test_effects_are_finite_and_wait_for_no_button() -> None:
         assert stick.log == ["operation start 1", "operation start 2"]
 
 
-def test_what_is_watched_of_the_effects() -> None:
+def test_which_effects_are_watched() -> None:
     with joystick() as stick:
         plan = driver(stick).set_up(stick.device)
         state = stick.layout.pid_state
@@ -100,9 +100,9 @@ def test_what_is_watched_of_the_effects() -> None:
         assert (watched.report_id, watched.indices) == (state.report_id, (1, 2))
         assert watched.index.bit_offset == state.effect_index.bit_offset
         assert watched.playing.bit_offset == state.effect_playing.bit_offset
-        # So many renewals take longer than an effect, whenever within an interval the first one comes.
+        # These renewals take longer than an effect, wherever the first one lies within an interval.
         assert (watched.proof - 1) * plan.renew_s > 0.1
-        # Stopped, so that the first renewal makes them play anew while somebody listens.
+        # Stopped, so that the first renewal starts them while reports are read.
         stick.log.clear()
         for message in plan.begin:
             stick.take(message.data)
@@ -112,7 +112,7 @@ def test_what_is_watched_of_the_effects() -> None:
 
 
 def test_a_state_that_cannot_name_an_effect_is_not_watched() -> None:
-    # With 200 effects, the 7 bits of the index in the state are too few for that of the last ones.
+    # With 200 effects, the 7 bits of the index in PID State are too few for the last ones.
     for like, first_index in ((Joystick(without=frozenset({0x92})), 1), (Joystick(indices=200), 198)):
         with joystick(like, first_index=first_index) as stick:
             plan = driver(stick).set_up(stick.device)
@@ -168,7 +168,7 @@ DEVICES = {
 
 
 def error_of(stick: FakePid, plan: Plan) -> float:
-    """How far the force displayed may be off: half a count of magnitude on each axis, half a step of direction."""
+    """Return the allowed error of a force: half a count of magnitude on each axis, half a step of direction."""
     force, effect = stick.layout.constant_force, stick.layout.set_effect
     assert force is not None and effect is not None
     turn = effect.direction[0].counts_per_turn() if effect.direction else math.inf
@@ -183,7 +183,7 @@ def test_magnitude_sign_and_axis(name: str) -> None:
             send(stick, plan, force_n)
             wanted = [part / FULL_N for part in force_n]
             size = math.hypot(*wanted)
-            # Each effect is off by its own direction, so both add up.
+            # Each effect has its direction's error, so the errors add up.
             assert stick.force() == pytest.approx(wanted, abs=error_of(stick, plan) * (1 + math.sqrt(2) * size)), (
                 force_n
             )
@@ -201,7 +201,7 @@ def test_limits_of_the_magnitude_hold() -> None:
 @pytest.mark.parametrize("way", ["two", "polar"])
 @pytest.mark.parametrize(("x", "y", "swap"), list(product((1, -1), (1, -1), (False, True))))
 def test_force_axes(way: str, x: int, y: int, swap: bool) -> None:
-    """The device's own axes: first its second axis takes the place of the first, then signs change."""
+    """The device's axes are swapped first, then signs change."""
     like = Joystick(direction_bits=16, is_magnitude_signed=way == "two")
     axes = {"x": {"sign": x}, "y": {"sign": y}, "swap": swap}
     with joystick(like) as stick:
@@ -258,7 +258,7 @@ def test_block_load_refuses(says: str, reason: str) -> None:
     assert str(caught.value) == reason
 
 
-def test_block_load_gives_what_cannot_be() -> None:
+def test_block_load_returns_an_index_out_of_range() -> None:
     with joystick(Joystick(indices=5), first_index=6) as stick, pytest.raises(DeviceError) as caught:
         driver(stick).set_up(stick.device)
     assert str(caught.value) == "fake0: PID Block Load: Effect Block Index must be between 1 and 5, is 6"
@@ -306,7 +306,7 @@ def test_axes_are_chosen_by_usage() -> None:
     assert str(caught.value) == "device.hid.axes.x.usage: the device has no axis Z; it has X, Y, Rz"
 
 
-def test_axes_that_a_force_cannot_tell_apart() -> None:
+def test_axes_that_a_force_cannot_distinguish() -> None:
     layout = layout_of(parse(bytes(Joystick(force_axes=(), direction_bits=0))))
     assert layout.usable
     with pytest.raises(DeviceError) as caught:
@@ -323,7 +323,7 @@ def test_durations_of_other_units() -> None:
 
 
 def without_reset(**keys: Any) -> Any:
-    """A joystick that is not asked for its pool, nor reset."""
+    """A joystick whose pool is not read, and which is not reset."""
     return joystick(Joystick(without=frozenset({0x7F})), **keys)
 
 
@@ -363,7 +363,7 @@ def layout_like(like: Joystick | None = None) -> Layout:
     return layout_of(parse(bytes(like or Joystick())))
 
 
-def test_a_magnitude_that_does_not_say_which_count_is_no_force_is_refused() -> None:
+def test_a_magnitude_whose_count_of_zero_force_is_not_clear_is_refused() -> None:
     layout = layout_like(Joystick(is_magnitude_signed=False))
     force = layout.constant_force
     assert force is not None and schemes_of(layout, hid())
@@ -384,8 +384,8 @@ def test_directions_that_are_parts_of_a_vector_are_not_taken_for_angles() -> Non
 
 
 @pytest.mark.parametrize("directions", [1, 2, 3])
-def test_without_direction_enable_the_direction_is_told_beside_the_axis(directions: int) -> None:
-    """Common firmware takes the sine or cosine of an axis's direction, or of the first, for a factor of its force."""
+def test_without_direction_enable_the_direction_is_sent_with_the_axis(directions: int) -> None:
+    """Common firmware multiplies a force by the sine or cosine of the direction, that of the axis or the first one."""
     with joystick(Joystick(without=frozenset({0x56}), directions=directions)) as stick:
         driver(stick).set_up(stick.device)
         to = stick.layout.set_effect

@@ -1,4 +1,4 @@
-"""PID Pool: read once, before the first effect, and never what a set-up fails by."""
+"""PID Pool is read once, before the first effect is created, and a set-up never fails because of it."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from tests.support.hid_descriptors import Joystick
 from tests.support.hid_device import FakePid
 
 FINE = Joystick(direction_bits=16, time_exponent=-4, level=10000)
-"""It can play periodic effects, too."""
+"""A joystick that can play periodic effects, too."""
 
 
 @dataclass
 class Pooled(FakePid):
-    """A joystick whose pool is read as real firmware has it."""
+    """A joystick whose pool behaves as that of real firmware."""
 
     frees: bool = False
     """Every effect is freed when the pool is read."""
@@ -31,7 +31,7 @@ class Pooled(FakePid):
     cut: int | None = None
     """Bytes of its answer."""
     says: list[int] = field(default_factory=list)
-    """How many effects it plays at a time; the last one from then on. None: as many as it has room for."""
+    """Reported numbers of effects at a time, the last one repeatedly; if empty, the number that it has room for."""
 
     def get_feature(self, report_id: int, length: int) -> bytes:
         place = self.layout.pool
@@ -44,9 +44,9 @@ class Pooled(FakePid):
         if self.stalls:
             raise DeviceError(f"fake0: cannot get feature report {report_id}: Broken pipe")
         if self.says:
-            most = self.says.pop(0) if len(self.says) > 1 else self.says[0]
+            max_effects = self.says.pop(0) if len(self.says) > 1 else self.says[0]
             where = place.simultaneous_effects_max
-            Bits(where.bit_offset, where.bit_size, where.is_signed).put(report, most)
+            Bits(where.bit_offset, where.bit_size, where.is_signed).put(report, max_effects)
         return bytes(report[: self.cut])
 
 
@@ -78,20 +78,20 @@ def lines(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 @pytest.mark.parametrize("offload", ["off", "auto"])
 @pytest.mark.parametrize("quirks", [[], ["one_effect"], ["no_reset"]])
-def test_a_pool_that_frees_what_there_is(sticks: list[Pooled], offload: str, quirks: list[str]) -> None:
+def test_a_pool_that_frees_all_effects(sticks: list[Pooled], offload: str, quirks: list[str]) -> None:
     stick = Pooled(bytes(FINE), frees=True)
     set_up(sticks, stick, times=2, offload=offload, quirks=quirks)
     constant = 1 if "one_effect" in quirks else 2
     periodic = 8 if offload == "auto" else 0
     assert len(stick.effects) == constant + periodic
     assert all(stick.effects[index].playing for index in range(1, constant + 1))
-    # Once in each set-up, before its first effect; where one effect is all that is wanted, not at all.
+    # Once in each set-up, before the first effect; never if only one effect is wanted.
     order = [name for name in stick.log if name in ("pool", "create")]
     one = [*["pool"] * (constant + periodic > 1), *["create"] * constant]
     assert order == 2 * one
 
 
-def test_a_pool_that_is_not_given_is_told_once(sticks: list[Pooled], caplog: pytest.LogCaptureFixture) -> None:
+def test_an_unanswered_pool_is_reported_once(sticks: list[Pooled], caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING, "hapticd")
     stick = Pooled(bytes(FINE), stalls=True)
     set_up(sticks, stick, times=3)
@@ -121,7 +121,7 @@ def test_a_pool_that_is_another_report(sticks: list[Pooled], caplog: pytest.LogC
 
 
 @pytest.mark.parametrize("says", [[1, 16], [0, 16]])
-def test_a_pool_that_says_little_at_first(
+def test_a_pool_that_reports_too_few_effects_at_first(
     sticks: list[Pooled], caplog: pytest.LogCaptureFixture, says: list[int]
 ) -> None:
     caplog.set_level(logging.WARNING, "hapticd")
@@ -131,7 +131,7 @@ def test_a_pool_that_says_little_at_first(
     assert [name for name in stick.log if name in ("pool", "create")][:3] == ["pool", "pool", "create"]
 
 
-def test_a_pool_that_says_one_again(sticks: list[Pooled], caplog: pytest.LogCaptureFixture) -> None:
+def test_a_pool_that_reports_one_effect_twice(sticks: list[Pooled], caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING, "hapticd")
     stick = Pooled(bytes(FINE), says=[1])
     set_up(sticks, stick)

@@ -1,4 +1,4 @@
-"""Recordings of devices: written, read, refused, and played as a device."""
+"""Recordings of devices are written, read, refused, and played as a device."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def report(x: int, y: int) -> bytes:
 
 
 def moving(count: int = 100) -> Recording:
-    """Down by a count a millisecond."""
+    """Return a recording that moves down by one count a millisecond."""
     return Recording("stick", 0x1209, 0x5AFF, STICK, tuple((n / 1000, report(0, n)) for n in range(count)))
 
 
@@ -79,7 +79,7 @@ HEAD = '{"recording": 1, "name": "a", "vendor": 1, "product": 2, "descriptor": "
         (HEAD + "[" * 50000 + "\n", ":2: "),
     ],
 )
-def test_what_is_no_recording(path: str, text: str, message: str) -> None:
+def test_files_that_are_not_recordings(path: str, text: str, message: str) -> None:
     Path(path).write_text(text)
     with pytest.raises(HapticdError) as caught:
         load(path)
@@ -95,7 +95,7 @@ def test_no_file(path: str) -> None:
         load(path)
 
 
-def test_what_may_have_no_end_is_no_recording(path: str) -> None:
+def test_a_file_that_may_have_no_end_is_not_a_recording(path: str) -> None:
     os.mkfifo(path)
     for other in (path, "/dev/zero"):
         with pytest.raises(HapticdError) as caught:
@@ -103,7 +103,7 @@ def test_what_may_have_no_end_is_no_recording(path: str) -> None:
         assert str(caught.value) == f"{other}: not a recording: not a regular file"
 
 
-def test_rounds_that_take_no_time_are_held_apart(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rounds_of_zero_length_are_separated_by_a_pause(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     due: list[float] = []
 
     def next_round(self: ReplayDevice, when: float) -> bool:
@@ -156,7 +156,7 @@ def test_played_for_ever_and_closed_meanwhile(path: str) -> None:
     device.close()
 
 
-def test_a_recording_of_what_cannot_be_driven(path: str) -> None:
+def test_a_recording_of_a_device_that_cannot_be_driven(path: str) -> None:
     save(path, Recording("mouse", 1, 2, bytes(Joystick(without=frozenset({0x73}))), ((0.0, b"\x01"),)), False)
     with pytest.raises(DeviceError) as caught:
         replay_source(Replay(path=path), Hid())
@@ -170,12 +170,12 @@ def test_configuration() -> None:
 
 
 def test_an_engine_follows_a_recording(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Into a wall and to the recording's end, which is a device that is gone."""
+    """The handle moves into a wall until the recording ends, which the engine reports as a lost device."""
     wait_until, seen = ReplayDevice._wait_until, threading.Event()
     waited = 0
 
     def until_seen(self: ReplayDevice, when: float) -> bool:
-        """The last report comes once the servo has seen one, however late it began."""
+        """Hold back the last report until the servo has received one, however late it began."""
         nonlocal waited
         waited += 1
         return (waited < 400 or seen.wait(60)) and wait_until(self, when)

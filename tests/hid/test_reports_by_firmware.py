@@ -1,5 +1,4 @@
-"""What goes out to a device of the PID class, judged by a firmware that reads it by itself
-(tests/support/firmware.py)."""
+"""Reports to a device of the PID class, checked by an independent firmware (tests/support/firmware.py)."""
 
 from __future__ import annotations
 
@@ -81,7 +80,7 @@ def driven(descriptor: bytes, variant: Variant = SPECIFIED, **keys: Any) -> Iter
 
 
 def send(stick: Firmware, plan: Plan, force_n: tuple[float, float]) -> None:
-    """What C sends for a force."""
+    """Send the reports that C makes of a force."""
     described = plan.to_c()
     for place, message in enumerate(plan.force):
         room = ffi.new("uint8_t[]", len(message.data))
@@ -90,19 +89,19 @@ def send(stick: Firmware, plan: Plan, force_n: tuple[float, float]) -> None:
 
 
 def step_of(stick: Firmware) -> float:
-    """One count of the magnitude, as part of the full force."""
+    """Return one count of the magnitude, as a fraction of the full force."""
     return 1.0 / stick.forms["constant_force"].numbers["magnitude"].logical[1]
 
 
 @pytest.mark.parametrize("name", FAMILIES)
 def test_signs_and_sizes(name: str) -> None:
-    """Within half a count of each magnitude along each axis, also of directions of which no count is a right angle."""
+    """Each magnitude is right within half a count along each axis, also if no count of a direction is a right angle."""
     with driven(*FAMILIES[name]) as (stick, plan):
         assert stick.force() == (0.0, 0.0)
         for force_n in FORCES:
             send(stick, plan, force_n)
             wanted = (force_n[0] / FULL_N, force_n[1] / FULL_N)
-            # At once and as long as the effect lasts: there is no envelope.
+            # The full force acts from the beginning to the end of the effect: there is no envelope.
             for t_s in (stick.now, stick.now + 0.05, stick.now + 0.099):
                 assert stick.force(t_s) == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), force_n
         assert stick.force(stick.now + 0.102) == (0.0, 0.0)
@@ -123,7 +122,7 @@ def test_reversed_devices_are_right_with_their_signs(name: str, signs: tuple[int
 
 @pytest.mark.parametrize("signs", [(1, 1), (-1, 1), (1, -1)])
 def test_swapped_axes(signs: tuple[int, int]) -> None:
-    """The device's first axis shows the force along y, its second one that along x, each with its sign."""
+    """The device's first axis exerts the force along y, its second axis that along x, each with its sign."""
     axes = {"swap": True, "x": {"sign": signs[0]}, "y": {"sign": signs[1]}}
     with driven(descriptors.SIDEWINDER_FF2, force_axes=axes) as (stick, plan):
         for x_n, y_n in FORCES:
@@ -132,8 +131,8 @@ def test_swapped_axes(signs: tuple[int, int]) -> None:
             assert stick.force() == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), (x_n, y_n)
 
 
-def test_one_effect_for_both_axes_says_what_leaks() -> None:
-    """255 counts a turn: half a count off is 1.2 % of the force, across it."""
+def test_one_effect_for_both_axes_reports_the_force_at_right_angles() -> None:
+    """With 255 counts a turn, half a count diverts 1.2 % of the force to the side."""
     with driven(bytes(Joystick(is_magnitude_signed=False))) as (stick, plan):
         assert len(stick.effects) == 1
         assert plan.leak == pytest.approx(math.sin(math.pi / 255.0), rel=1e-12)
@@ -148,14 +147,14 @@ def test_one_effect_for_both_axes_says_what_leaks() -> None:
         assert plan.leak == 0.0
 
 
-def test_more_than_the_full_force_along_one_axis_is_none_along_the_other() -> None:
+def test_too_large_a_force_along_one_axis_causes_none_along_the_other() -> None:
     with driven(descriptors.SIDEWINDER_FF2) as (stick, plan):
         send(stick, plan, (1e6, 0.0))
         assert stick.force() == pytest.approx((1.0, 0.0), abs=step_of(stick))
 
 
 def _vectors(force_axes: tuple[int, ...] = (0x30, 0x31), without: frozenset[int] = frozenset({0x56})) -> bytes:
-    """A direction as parts of a vector: X and Y from -127 to 127."""
+    """Return a descriptor whose direction is a vector: X and Y from -127 to 127."""
     angles = usage32(ORDINAL, 1, 2) + logical(0, 255) + physical(0, 36000)
     parts = usage32(DESKTOP, 0x30, 0x31) + logical(-127, 127) + physical(-127, 127)
     descriptor = bytes(Joystick(force_axes=force_axes, without=without))
@@ -165,7 +164,7 @@ def _vectors(force_axes: tuple[int, ...] = (0x30, 0x31), without: frozenset[int]
 
 @pytest.mark.parametrize("name", ["no direction", "vectors"])
 def test_axes_alone_go_the_way_of_the_device(name: str) -> None:
-    """Without an angle a device is sent the axis alone, and its Y grows towards the user: a calibration finds that."""
+    """Without an angle only the axis is sent. The device's Y grows towards the user, which a calibration finds."""
     descriptor = _vectors() if name == "vectors" else bytes(Joystick(direction_bits=0, without=frozenset({0x56})))
     table = Table(descriptor, SPECIFIED, 5.0)
     with table.stick as stick:
@@ -180,7 +179,7 @@ def test_axes_alone_go_the_way_of_the_device(name: str) -> None:
 
 @pytest.mark.parametrize(("first", "second"), [("Rx", "Ry"), ("Z", "Rz"), ("X", "Z")])
 def test_axes_of_other_names_are_enabled_one_by_one(first: str, second: str) -> None:
-    """A handle of other axes than X and Y, without an angle: no axis was enabled, so that no force was felt."""
+    """A handle with other axes than X and Y, without an angle: no axis was enabled, so no force was felt."""
     pair = (AXIS_USAGES[first.lower()], AXIS_USAGES[second.lower()])
     descriptor = bytes(Joystick(axes=pair, force_axes=pair, direction_bits=0, without=frozenset({0x56})))
     with driven(descriptor, axes={"x": {"usage": first}, "y": {"usage": second}}) as (stick, _):
@@ -189,7 +188,7 @@ def test_axes_of_other_names_are_enabled_one_by_one(first: str, second: str) -> 
 
 
 def test_a_third_axis_is_left_alone() -> None:
-    """The handle's axes are enabled, whatever stands between them."""
+    """The handle's axes are enabled, whatever axes lie between them."""
     descriptor = bytes(
         Joystick(axes=(0x30, 0x35), force_axes=(0x30, 0x32, 0x35), direction_bits=0, without=frozenset({0x56}))
     )
@@ -199,7 +198,7 @@ def test_a_third_axis_is_left_alone() -> None:
 
 
 def test_a_wheel_with_pedals_and_no_y_is_pushed_along_x() -> None:
-    """Though it names X and Y as axes of its forces, as some do; an axis that is named and missing is refused."""
+    """Some wheels name X and Y as axes of their forces. A configured axis that is missing is refused."""
     wheel = bytes(Joystick(axes=(0x30, 0x32, 0x35)))
     with driven(wheel) as (stick, plan):
         assert plan.driven_axes == (True, False) and len(plan.force) == 1
@@ -216,7 +215,7 @@ def test_a_wheel_with_pedals_and_no_y_is_pushed_along_x() -> None:
 
 @pytest.mark.parametrize("has_enable", [False, True])
 def test_a_direction_of_two_parts_needs_no_axes_enable(has_enable: bool) -> None:
-    """Parts of a vector tell the axes apart; Y grows towards the user, which a calibration finds."""
+    """Components of a vector distinguish the axes; Y grows towards the user, which a calibration finds."""
     descriptor = _vectors(force_axes=(), without=frozenset() if has_enable else frozenset({0x56}))
     with driven(descriptor, force_axes={"y": {"sign": -1}}) as (stick, plan):
         for force_n in FORCES:
@@ -231,7 +230,7 @@ def test_a_direction_of_two_parts_needs_no_axes_enable(has_enable: bool) -> None
 
 
 def test_one_axis_whose_flags_have_the_range_0_to_0() -> None:
-    """OpenFFBoard with one axis: without its flag a force has no direction, and there is none."""
+    """OpenFFBoard with one axis exerts no force unless the axis is enabled by its flag."""
     with driven(descriptors.OPENFFBOARD_1, OPENFFBOARD_1) as (stick, plan):
         (set_effect,) = stick.sent("set_effect")
         # Id, index, type, four times of two bytes, gain, trigger button, then the flags: X, Direction Enable.
@@ -266,7 +265,7 @@ def test_the_whole_of_the_gain_is_used() -> None:
 
 @pytest.mark.parametrize("name", ["sidewinder", "fino", "adapt-ffb-joy"])
 def test_a_killed_host_leaves_no_force(name: str) -> None:
-    """Renewed, it goes on; then it ends by itself, after the duration of the effect."""
+    """While it is renewed, the force lasts; afterwards it ends with the duration of the effect."""
     duration_s = 0.1
     with driven(*FAMILIES[name], effect_duration_s=duration_s) as (stick, plan):
         for tick in range(1, 20):
@@ -286,8 +285,8 @@ def test_a_killed_host_leaves_no_force(name: str) -> None:
 # ---- What the device plays by itself ---------------------------------------------------------------------------------
 
 
-def test_a_device_that_never_says_full_keeps_its_constant_forces(caplog: pytest.LogCaptureFixture) -> None:
-    """The first effect was lost to a periodic one: all are made anew, without any that the device plays itself."""
+def test_a_device_that_never_reports_full_keeps_its_constant_forces(caplog: pytest.LogCaptureFixture) -> None:
+    """A periodic effect replaced the first effect: all are created again, without periodic effects."""
     variant = Variant(most_effects=5, never_full=True, pool_stalls=True)
     with driven(descriptors.SIDEWINDER_FF2, variant, offload="auto") as (stick, plan):
         assert plan.periodic is None and "returns Effect Block Index 1 twice" in plan.no_periodic
@@ -302,12 +301,12 @@ def test_a_device_that_never_says_full_keeps_its_constant_forces(caplog: pytest.
 
 @pytest.mark.parametrize("name", ["sidewinder", "openffboard", "fino", "adapt-ffb-joy"])
 def test_a_strike_is_the_mode_along_its_direction(name: str) -> None:
-    """A ringing mode as a sine within an envelope: as near as the fit says, in the direction of the force."""
+    """The sine within its envelope has the reported error and the direction of the force."""
     mode = Mode(decay_rate_per_s=1.0 / 0.03, angular_frequency_rad_per_s=2.0 * math.pi * 80.0)
     way = (0.6, -0.8)
     with driven(*FAMILIES[name], offload="auto") as (stick, plan):
         assert plan.periodic is not None, plan.no_periodic
-        shape = nearest_effect(mode, plan.periodic.numbers)
+        shape = nearest_effect(mode, plan.periodic.scales)
         assert shape is not None
         size_n = 0.8 * FULL_N / shape.peak
         stick.now = 1.0
@@ -321,7 +320,7 @@ def test_a_strike_is_the_mode_along_its_direction(name: str) -> None:
         ideal = size_n * np.exp(-mode.decay_rate_per_s * times_s) * np.sin(mode.angular_frequency_rad_per_s * times_s)
         along, across = shown @ np.array(way), shown @ np.array([-way[1], way[0]])
         power = float(np.sqrt(np.mean(ideal**2)))
-        # Levels and direction are whole counts, too.
+        # Levels and direction are integer counts, too.
         assert float(np.sqrt(np.mean((along - ideal) ** 2))) / power < shape.error + 0.01
         assert float(np.abs(across).max()) < 0.018 * float(np.abs(along).max()) + 1e-9
         assert stick.faults == []
@@ -331,7 +330,7 @@ def test_a_strike_is_the_mode_along_its_direction(name: str) -> None:
 
 
 class Table:
-    """A device on a table, whose handle goes where it is pushed; its clock stands still unless somebody waits."""
+    """A device on a table, whose handle follows the force; its clock advances only while the caller waits."""
 
     def __init__(self, descriptor: bytes, variant: Variant, travel_per_force: float) -> None:
         self.stick = Firmware(descriptor, variant)
@@ -352,8 +351,8 @@ def test_calibration_of_one_axis_leaves_the_other_alone() -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_wheel_that_names_two_axes_is_told_what_it_needs(sign: int) -> None:
-    """Nothing moves along y: what was found of x is not lost, and drives the wheel the right way."""
+def test_a_calibration_of_a_wheel_that_names_two_axes_reports_the_needed_keys(sign: int) -> None:
+    """Nothing moves along y: the result for x is reported, and drives the wheel the right way."""
     variant = Variant(axes=("x",), signs=(sign, 1))
     table = Table(bytes(Joystick(direction_bits=16)), variant, 5.0)
     with table.stick as stick, pytest.raises(DeviceError) as caught:
@@ -368,7 +367,7 @@ def test_a_wheel_that_names_two_axes_is_told_what_it_needs(sign: int) -> None:
 
 
 def _index_later() -> bytes:
-    """The reports of an effect begin with a byte that means nothing; then comes the effect's index."""
+    """Return a descriptor whose reports have an unused byte before the Effect Block Index."""
     descriptor = bytes(Joystick(direction_bits=16))
     for name in (0x21, 0x73, 0x77):
         head = usage(name) + b"\xa1\x02\x85"
@@ -378,7 +377,7 @@ def _index_later() -> bytes:
 
 
 @pytest.mark.parametrize("name", ["sidewinder", "index later"])
-def test_a_calibration_that_finds_nothing_says_what_was_sent(name: str) -> None:
+def test_a_failed_calibration_reports_the_sent_reports(name: str) -> None:
     descriptor = {"sidewinder": descriptors.SIDEWINDER_FF2, "index later": _index_later()}[name]
     table = Table(descriptor, Variant(), 0.0)
     with table.stick as stick:

@@ -1,5 +1,4 @@
-"""What another program uploads in the place of our effects, judged by the force of a simulated firmware: how long it
-lasts in the time of the link, and with the core's own writer, that it ends."""
+"""Effects of another program in place of hapticd's: how long they last, with a model of the link and C's writer."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ from tests.support.firmware_descriptors import FINO as FINO_DESCRIPTOR
 
 FULL_N = 8.9
 NOTHING = Variant(tells="nothing", takes_unknown=True)
-"""By the specification, but for reports about effects that it lost, and it tells nothing."""
+"""Firmware that accepts reports for lost effects, and reports nothing about effects."""
 KINDS: dict[str, tuple[bytes, Variant]] = {
     "fino": (FINO_DESCRIPTOR, FINO),
     "openffboard": (OPENFFBOARD_2, replace(OPENFFBOARD, takes_unknown=True)),
@@ -38,8 +37,7 @@ def set_up(stick: Firmware, **keys: Any) -> Plan:
 
 
 class Writer:
-    """The writer of a connection (csrc/device/hd_hid_writer.c), in the time of a link that carries one report after the
-    other: the forces that changed; if it is due, all of them and what renews them; one report that restores."""
+    """Model of C's writer: changed forces, or at a renewal all forces and the renewal, then one restoring report."""
 
     def __init__(self, stick: Firmware, plan: Plan, report_s: float) -> None:
         self.stick, self.plan, self.report_s = stick, plan, report_s
@@ -62,7 +60,7 @@ class Writer:
         self.written += 1
 
     def go(self, force_n: tuple[float, float]) -> None:
-        """Once round."""
+        """Make one pass of the writer."""
         before = self.now
         renews = self.now >= self.renew_s
         for place, message in enumerate(self.plan.force):
@@ -85,7 +83,7 @@ class Writer:
 
 
 def wobbling(force_n: tuple[float, float]) -> Callable[[int], tuple[float, float]]:
-    """A force that is another one at each pass: the link is full."""
+    """Return a force that changes at each pass, so that the link is full."""
     return lambda count: (force_n[0] + 0.04 * (count % 2), force_n[1] - 0.04 * (count % 2))
 
 
@@ -105,17 +103,17 @@ def wobbling(force_n: tuple[float, float]) -> Callable[[int], tuple[float, float
         ),
     ],
 )
-def test_what_a_stranger_uploads_ends_in_time(kind: str, keys: dict[str, Any], report_s: float) -> None:
+def test_an_effect_of_another_program_ends_in_time(kind: str, keys: dict[str, Any], report_s: float) -> None:
     with Firmware(*KINDS[kind]) as stick:
         plan = set_up(stick, **keys)
         plan = plan_paced_for_link(plan, 1.0 / (report_s * len(plan.force)) if report_s else None)
-        assert plan.foreign_s is not None and plan.foreign_s <= MAX_FOREIGN_EFFECT_S + 1e-9
+        assert plan.foreign_effect_s is not None and plan.foreign_effect_s <= MAX_FOREIGN_EFFECT_S + 1e-9
         writer = Writer(stick, plan, report_s)
         wanted = wobbling((4.0, -2.5))
         ours: tuple[float, float] | None = None
         for turn in range(5):
             passes = 0
-            # Somewhere else in the turn of what is sent each time.
+            # Each time at another place in the sequence of restoring reports.
             until = writer.now + 0.1 + 0.0217 * turn
             while writer.now < until:
                 writer.go(wanted(passes))
@@ -135,7 +133,7 @@ def test_what_a_stranger_uploads_ends_in_time(kind: str, keys: dict[str, Any], r
 
 
 def test_without_restoring_it_would_last(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the test above rests on: the firmware does turn our force round."""
+    """The test above relies on this: the firmware lets another program reverse hapticd's force."""
     with Firmware(FINO_DESCRIPTOR, FINO) as stick:
         writer = Writer(stick, plan_paced_for_link(set_up(stick), 500.0), 1e-3)
         object.__setattr__(writer.plan, "restore", ())
@@ -160,7 +158,7 @@ def test_an_envelope_and_a_gain_of_a_stranger_end_too() -> None:
         assert stick.force() == pytest.approx((4.0 / FULL_N, -2.5 / FULL_N), abs=0.01)
 
 
-def test_a_device_that_ignores_effects_that_it_lost_shows_no_force_but_ours() -> None:
+def test_a_device_that_ignores_lost_effects_exerts_only_the_force_of_hapticd() -> None:
     with Firmware(ADAPT_FFB_JOY, ADAPT) as stick:
         writer = Writer(stick, plan_paced_for_link(set_up(stick), 500.0), 1e-3)
         stick.stranger(turns=0.3, magnitude=0.9)
@@ -171,13 +169,15 @@ def test_a_device_that_ignores_effects_that_it_lost_shows_no_force_but_ours() ->
 
 
 @pytest.mark.parametrize("report_s", [1e-3, 2e-3, 4e-3, 8e-3, 16e-3])
-def test_restoring_takes_a_third_of_a_slow_link_at_most_and_says_how_long_it_takes(report_s: float) -> None:
+def test_restoring_takes_at_most_a_third_of_a_slow_link_and_its_time_is_reported(report_s: float) -> None:
     with Firmware(FINO_DESCRIPTOR, FINO) as stick:
         plan = set_up(stick)
         # Direction and envelope of two effects, and the gain of the device.
         assert len(plan.restore) == 5
         plan = plan_paced_for_link(plan, 1.0 / (report_s * len(plan.force)))
-        assert plan.foreign_s is not None and (plan.foreign_s <= MAX_FOREIGN_EFFECT_S + 1e-9) == (report_s <= 4e-3)
+        assert plan.foreign_effect_s is not None and (plan.foreign_effect_s <= MAX_FOREIGN_EFFECT_S + 1e-9) == (
+            report_s <= 4e-3
+        )
         writer = Writer(stick, plan, report_s)
         wanted = wobbling((4.0, -2.5))
         begun, longest, since, turns = writer.now, 0.0, writer.now, 0
@@ -186,7 +186,7 @@ def test_restoring_takes_a_third_of_a_slow_link_at_most_and_says_how_long_it_tak
             if writer.restored // len(plan.restore) > turns:
                 turns = writer.restored // len(plan.restore)
                 longest, since = max(longest, writer.now - since), writer.now
-        assert turns > 3 and longest <= plan.foreign_s + 1e-9
+        assert turns > 3 and longest <= plan.foreign_effect_s + 1e-9
         assert writer.restored <= MAX_RESTORE_SHARE * (writer.now - begun) / report_s + 1
         # The effects are started again before they end, however slow the link is.
         starts = [t_s for t_s, _, data in stick.reports if data[:1] == plan.renew[0].data[:1]]
@@ -197,7 +197,7 @@ def test_a_plan_without_effects_is_left_as_it_is() -> None:
     with Firmware(FINO_DESCRIPTOR, FINO) as stick:
         plan = set_up(stick)
         other = Plan(x=plan.x, y=plan.y, force=plan.force, renew=plan.renew, stop=plan.stop)
-        assert plan_paced_for_link(other, 100.0) == other and other.foreign_s is None
+        assert plan_paced_for_link(other, 100.0) == other and other.foreign_effect_s is None
 
 
 # ---- The core's own writer -------------------------------------------------------------------------------------------
@@ -206,8 +206,8 @@ def test_a_plan_without_effects_is_left_as_it_is() -> None:
 @pytest.mark.parametrize(
     "kind", ["fino", pytest.param("openffboard", marks=pytest.mark.slow), pytest.param("plain", marks=pytest.mark.slow)]
 )
-def test_the_writer_restores_what_a_stranger_took(kind: str) -> None:
-    """Judged when reports come, and never by when they do."""
+def test_the_writer_restores_effects_that_another_program_changed(kind: str) -> None:
+    """Only the order of reports counts, not their times."""
     descriptor, variant = KINDS[kind]
     with Firmware(descriptor, variant, clock=time.monotonic) as stick:
         plan = plan_paced_for_link(set_up(stick), None)
@@ -217,7 +217,7 @@ def test_the_writer_restores_what_a_stranger_took(kind: str) -> None:
             for turns in (0.0, 0.3):
                 stick.stranger(turns=turns, magnitude=0.9)
                 before = len(stick.reports)
-                # All of both effects, from here on.
+                # From here on, all parameters of both effects.
                 wanted = {message.data for message in (*plan.restore, *plan.renew)}
                 stick.wait(lambda: wanted <= {data for _, _, data in stick.reports[before:]})  # noqa: B023
                 effects = [stick.effects[index] for index in (1, 2)]

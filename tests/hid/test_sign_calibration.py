@@ -1,4 +1,4 @@
-"""Calibration on a device whose handle goes where it is pushed, by a wiring that the calibration has to find."""
+"""Calibration of a device whose handle follows its force with an unknown wiring, which the calibration has to find."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TRAVEL_M = 0.05
 
 
 class Bench:
-    """A device on a table, and a clock that stands still unless somebody waits."""
+    """A device on a table, and a clock that advances only while the caller waits."""
 
     def __init__(self, wiring: tuple[tuple[float, float], tuple[float, float]], like: Joystick | None = None) -> None:
         self.stick = FakePid(bytes(like or Joystick(direction_bits=16)))
@@ -58,7 +58,7 @@ class Bench:
 @pytest.mark.long
 @pytest.mark.parametrize("signed", [True, False])
 @pytest.mark.parametrize(("x", "y", "swap"), list(product((1, -1), (1, -1), (False, True))))
-def test_what_it_finds_makes_the_device_right(x: int, y: int, swap: bool, signed: bool) -> None:
+def test_the_found_axes_make_the_device_push_the_right_way(x: int, y: int, swap: bool, signed: bool) -> None:
     wiring = ((0.0, y), (x, 0.0)) if swap else ((x, 0.0), (0.0, y))
     like = Joystick(direction_bits=16, is_magnitude_signed=signed)
     bench = Bench(wiring, like)
@@ -66,7 +66,7 @@ def test_what_it_finds_makes_the_device_right(x: int, y: int, swap: bool, signed
     assert bench.is_at_rest()
     assert bench.largest_n == pytest.approx(0.4, rel=0.01)
     bench.stick.close()
-    # Driven by what was found, a force moves the handle its own way.
+    # With the found axes, a force moves the handle in the direction of the force.
     again = Bench(wiring, like)
     second = again.calibrate(force_axes=found.force_axes.to_dict())
     again.stick.close()
@@ -92,7 +92,7 @@ def test_a_push_ends_once_the_handle_has_moved() -> None:
         (((1.0, 1.0), (0.0, 0.0)), "both of the device's axes moved the handle along x"),
     ],
 )
-def test_what_is_not_clear(wiring: Any, message: str) -> None:
+def test_results_that_are_not_clear(wiring: Any, message: str) -> None:
     bench = Bench(wiring)
     with pytest.raises(DeviceError) as caught:
         bench.calibrate()
@@ -118,7 +118,7 @@ def test_no_more_than_a_tenth() -> None:
 
 
 class Deaf(Recorder):
-    """It takes every report, and its handle stays where it is."""
+    """A device that accepts every report, and whose handle never moves."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -132,8 +132,8 @@ class Deaf(Recorder):
         os.close(self._theirs)
 
 
-def test_of_a_report_of_its_own_the_last_one_is_told() -> None:
-    """-0.4 N of 1000 counts a newton, 16 bits, the highest byte first; y at rest, 0x800 from bit 20 on."""
+def test_the_last_vendor_report_is_reported() -> None:
+    """-0.4 N at 1000 counts/N, 16 bits, high byte first; y at rest, 0x800 from bit 20 on."""
     hid = Hid.model_validate({"report": REPORT, "full_scale_force_n": FULL_N})
     device, clock = Deaf(), itertools.count()
     with pytest.raises(DeviceError) as caught:

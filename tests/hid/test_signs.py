@@ -1,4 +1,4 @@
-"""The check of a device's signs in model time: a handle with mass, friction, spring and hand, one step a tick."""
+"""The check of a device's signs in simulated time: a handle with mass, friction, spring and hand, one step a tick."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FULL_N = 8.9
 MAX_N = 6.0
 RAMP_S = 0.1
 STEP_N = MAX_N / RATE_HZ / RAMP_S
-"""What a command may move the force by in a tick."""
+"""Largest change of the force in a tick, in N."""
 
 Hand = Callable[[float], tuple[float, float]]
 
@@ -29,7 +29,7 @@ def _no_hand(_: float) -> tuple[float, float]:
 
 @dataclass
 class Handle:
-    """A handle in model time; `turn` is what the device makes of a commanded force."""
+    """A handle in simulated time; `turn` maps a commanded force to the force that the device exerts."""
 
     mass_kg: float = 0.1
     damping: float = 0.5
@@ -37,11 +37,11 @@ class Handle:
     spring: float = 0.0
     turn: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
     hand: Hand = _no_hand
-    """Its force over time, N."""
+    """The hand's force over time, in N."""
     step_m: float = 1.5e-6
     noise_m: float = 0.0
     late: int = 10
-    """Ticks from a force to the position that shows it."""
+    """Ticks from a force to the position that it has changed."""
     held: bool = False
     position_m: list[float] = field(default_factory=lambda: [0.0, 0.0])
     speed: list[float] = field(default_factory=lambda: [0.0, 0.0])
@@ -70,7 +70,7 @@ class Handle:
 
 
 class Run:
-    """The check against a handle."""
+    """Runs the check with a simulated handle."""
 
     def __init__(self, handle: Handle, axes: tuple[bool, bool] = (True, True)) -> None:
         self.handle = handle
@@ -176,15 +176,15 @@ def test_one_axis_is_pushed_alone() -> None:
 
 
 def test_an_axis_without_force_may_move_as_it_likes() -> None:
-    """A pedal beside a wheel."""
+    """The axis is a pedal next to a wheel."""
     run = Run(Handle(hand=lambda time_s: (0.0, math.sin(20 * time_s))), axes=(True, False))
     assert run.end().state == SignsState.RIGHT
 
 
 def test_a_handle_that_is_held_is_unclear_until_it_is_let_go() -> None:
     run = Run(Handle(held=True))
-    said = {run.tick().line() for _ in range(1500)}
-    assert "the handle did not move when it was pushed along x: let go of it" in said
+    found = {run.tick().line() for _ in range(1500)}
+    assert "the handle did not move when it was pushed along x: let go of it" in found
     status = run.end()
     assert (status.state, status.problem) == (SignsState.UNCLEAR, SignsProblem.STILL)
     pulses = len(run.handle.forces)
@@ -199,7 +199,7 @@ def test_a_handle_that_is_held_is_unclear_until_it_is_let_go() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_hand_that_moves_it_meanwhile_deceives_nobody(way: float) -> None:
-    """Its own motion is waited for to end, and reported; whatever it does then, the answer is never the wrong one."""
+    """The check waits for the end of the hand's motion, and reports it; whatever the hand does, no result is wrong."""
     wrong = SignsState.WRONG if way > 0 else SignsState.RIGHT
     right = SignsState.RIGHT if way > 0 else SignsState.WRONG
     outcomes = []
@@ -214,10 +214,10 @@ def test_a_hand_that_moves_it_meanwhile_deceives_nobody(way: float) -> None:
             return tuple(swings * (time_s < 4.0))  # type: ignore[return-value]
 
         run = Run(Handle(turn=((way, 0.0), (0.0, way)), hand=lambda t, of=(rates_hz, phases, sizes): hand(t, *of)))
-        said = set()
+        found = set()
         for _ in range(round(30 * RATE_HZ)):
             status = run.tick()
-            said.add(status.problem)
+            found.add(status.problem)
             if status.state in (SignsState.RIGHT, SignsState.WRONG, SignsState.UNCLEAR):
                 break
         outcomes.append(status.state)
@@ -225,7 +225,7 @@ def test_a_hand_that_moves_it_meanwhile_deceives_nobody(way: float) -> None:
     assert outcomes.count(right) >= 10
 
 
-def test_it_waits_while_the_handle_moves_and_says_so() -> None:
+def test_the_check_waits_while_the_handle_moves_and_reports_it() -> None:
     handle = Handle(held=True)
     run = Run(handle)
 

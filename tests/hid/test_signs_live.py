@@ -1,4 +1,4 @@
-"""The check of a device's signs in a whole engine, over a PID device whose handle goes where its force pushes it."""
+"""The check of a device's signs in an engine with a PID device whose handle follows its force."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from tests.support import firmware_descriptors as descriptors
 from tests.support.firmware import ARDUINO, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
 
 GIVES = 0.8
-"""Of the half travel, for the full force: a spring-centred handle."""
+"""Deflection by the full force, as a fraction of the half travel, of a handle that a spring centres."""
 AWAY = {"objects": {"floor": {"kind": "wall", "point_m": [0, -0.02], "normal": [0, 1], "material": "plain"}}}
 
 
 class Sprung(World):
-    """Joysticks whose handle goes where their force takes it."""
+    """Joysticks whose handle follows their force."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         super().__init__(monkeypatch)
         self.hid = {"renew_s": 0.1, "effect_duration_s": 0.25, "signs": "check"}
         self.config["scene"] = AWAY
         self.way = ((1.0, 0.0), (0.0, 1.0))
-        """What the device makes of a force."""
+        """Matrix from a commanded force to the force of the device."""
         self.gives = GIVES
         self.port = "here"
         self.room = records(SAMPLE_DTYPE, 16384)
@@ -66,8 +66,8 @@ class Sprung(World):
                 x, y = (self.gives * (a * force[0] + b * force[1]) for a, b in self.way)
                 stick.report(round(COUNTS * x), round(-COUNTS * y) + self._y)
 
-    def look(self) -> None:
-        """Takes what was rendered since."""
+    def collect(self) -> None:
+        """Collect the samples since the previous call."""
         assert self.engine is not None
         count, dropped = self.engine.read_samples(self.room)
         assert not dropped
@@ -76,9 +76,9 @@ class Sprung(World):
     def comes_to(self, *states: SignsState) -> None:
         def there() -> bool:
             assert self.engine is not None
-            self.look()
+            self.collect()
             state = self.engine.counters().signs.state
-            if state == SignsState.UNCLEAR:  # whoever moves the handle is a thread of Python, which may be held up
+            if state == SignsState.UNCLEAR:  # a Python thread moves the handle, and may be delayed
                 self.engine.set_forces(True)
             return state in states
 
@@ -96,7 +96,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> Iterator[Sprung]:
 
 
 class Flashed(Sprung):
-    """A simulated firmware, which shares nothing with the driver."""
+    """A simulated firmware that shares no code with the driver."""
 
     firmware: Firmware
 
@@ -159,11 +159,11 @@ def test_the_signs_of_known_firmware(flashed: Flashed, descriptor: bytes, varian
 
 
 def settled(world: Sprung) -> None:
-    """Waits until ten more ticks were rendered."""
+    """Wait for ten more ticks."""
     assert world.engine is not None
     engine, ticks = world.engine, world.engine.counters().ticks
     world.until(lambda: engine.counters().ticks > ticks + 10)
-    world.look()
+    world.collect()
 
 
 def signs_of(engine: Engine) -> dict[str, Any]:
@@ -185,9 +185,9 @@ def test_right_signs_then_the_scene_and_a_replay_bit_for_bit(world: Sprung, tmp_
         Methods(engine).call("play", {"material": "wood", "amplitude_m_per_s2": 1.0, "direction": [0, 1]})
     assert refused.value.code == -32003
     world.comes_to(SignsState.RIGHT)
-    world.hold(0.024)  # by hand, on top of what gives way
+    world.hold(0.024)  # by hand, in addition to the spring's deflection
     assert engine.counters().faults == Fault(0)
-    world.until(lambda: (world.look(), world.samples["force_n"][-1, 1] > 0.5 * 0.004 * STIFFNESS)[1])
+    world.until(lambda: (world.collect(), world.samples["force_n"][-1, 1] > 0.5 * 0.004 * STIFFNESS)[1])
     checked = world.checked()
     forces = world.samples["force_n"][checked]
     assert 0.05 * FULL_N < np.abs(forces).max() <= 0.1 * FULL_N * (1 + 1e-12)
@@ -208,9 +208,9 @@ def test_right_signs_then_the_scene_and_a_replay_bit_for_bit(world: Sprung, tmp_
         assert again[name].tobytes() == samples[name][first:].tobytes(), name
     assert again["flags"][1:].tobytes() == samples["flags"][first + 1 :].tobytes()
 
-    # A recording that begins in the middle of the check has no force of the scene before its end, either.
+    # A recording that begins in the middle of the check has no force of the scene before the check ends, either.
     middle = (begin + int(np.flatnonzero(checked)[-1])) // 2
-    # A replay begins where two ticks running have a new report and nothing that is left over.
+    # A replay begins at two successive ticks with a new report, no ramp and no glitch.
     fresh = samples["flags"][middle:] & (Flag.REPEATED | Flag.RAMPING | Flag.GLITCH) == 0
     part = samples[middle + int(np.argmax(fresh[:-1] & fresh[1:])) :]
     config = {"servo": {"rate_hz": 1000}, "device": {"kind": "hid"}, **world.config}
@@ -247,7 +247,7 @@ def test_wrong_signs_and_never_a_force_of_the_scene(world: Sprung, caplog: pytes
     assert stick.force() == (0.0, 0.0)
     world.until(lambda: any("signs of the device are wrong" in line for line in caplog.messages))
     assert sum("signs of the device are wrong" in line for line in caplog.messages) == 1
-    # It stays so when the same device comes back; another one is checked.
+    # The result stays when the same device comes back; another device is checked.
     world.unplug()
     world.until(lambda: Fault.DEVICE in engine.counters().faults)
     world._y = 0
@@ -261,8 +261,10 @@ def test_wrong_signs_and_never_a_force_of_the_scene(world: Sprung, caplog: pytes
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_who_strikes_a_device_waits_for_the_check(world: Sprung, way: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`hapticd calibrate` and `verify` have a servo of their own."""
+def test_programs_that_strike_a_device_wait_for_the_check(
+    world: Sprung, way: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`hapticd calibrate` and `verify` run a separate servo."""
     world.way = ((way, 0.0), (0.0, way))
     world.plug()
     monkeypatch.setattr("hapticd.daemon.engine.DEVICE_TIMEOUT_S", world.late_after_s)
@@ -294,7 +296,7 @@ def test_a_device_that_comes_back_is_not_checked_again(world: Sprung) -> None:
     world.until(lambda: Fault.DEVICE in engine.counters().faults)
     world.plug()
     world.until(lambda: engine.set_forces(True) > 0 and engine.counters().faults == Fault(0))
-    world.look()
+    world.collect()
     before = len(world.samples)
     settled(world)
     assert not world.checked()[before:].any()
@@ -302,7 +304,7 @@ def test_a_device_that_comes_back_is_not_checked_again(world: Sprung) -> None:
 
 
 @pytest.mark.slow
-def test_it_waits_for_the_handle_to_leave_what_it_touches(world: Sprung) -> None:
+def test_the_check_waits_for_the_handle_to_leave_an_object(world: Sprung) -> None:
     world.plug()
     engine = world.start()
     world.hold(0.024)
@@ -337,12 +339,12 @@ def test_a_device_that_is_trusted_pushes_at_once(world: Sprung, trusted: dict[st
     engine = world.start()
     world.hold(0.024)
     engine.set_forces(True)
-    world.until(lambda: (world.look(), world.samples["force_n"][-1, 1] > 0.5 * 0.004 * STIFFNESS)[1])
+    world.until(lambda: (world.collect(), world.samples["force_n"][-1, 1] > 0.5 * 0.004 * STIFFNESS)[1])
     assert not world.checked().any()
     assert signs_of(engine)["state"] == "trusted"
 
 
-def test_what_a_configuration_says_of_signs() -> None:
+def test_when_signs_are_checked_or_trusted() -> None:
     report = {
         "input": {"x": {"bit_offset": 0, "bit_size": 16, "counts_per_m": 1e5}},
         "output": {"length": 2, "x": {"bit_offset": 0, "bit_size": 16, "counts_per_n": 100}},

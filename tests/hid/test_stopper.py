@@ -1,4 +1,4 @@
-"""`hapticd stop-device`: what it trusts, what it sends, and what the daemon leaves for it."""
+"""`hapticd stop-device`: which records it trusts, what it sends, and what the daemon records for it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FAKE = Identity(1, 2, {"HID_NAME": "fake"})
 
 
 class Node:
-    """A terminal stands for a hidraw node: a character device with a number, whose other end shows what was written."""
+    """A terminal in place of a hidraw node: a character device whose other end shows what was written."""
 
     def __init__(self, sysfs: Path) -> None:
         self.sysfs = sysfs
@@ -62,7 +62,7 @@ class Node:
         return identity_of(os.fstat(fd), self.sysfs)
 
     def written(self, count: int = 0) -> bytes:
-        """What has arrived; waits for so many bytes, which the kernel brings in pieces and in its own time."""
+        """Wait until `count` bytes have arrived, which the kernel delivers in pieces, and return them."""
         found, deadline = b"", time.monotonic() + 60.0
         while True:
             with suppress(BlockingIOError):
@@ -86,7 +86,7 @@ def node(tmp_path: Path) -> Iterator[Node]:
 
 @pytest.fixture
 def record(tmp_path: Path, node: Node) -> Path:
-    """Of the node, as a daemon writes it."""
+    """Write the record of the node, as a daemon does."""
     path = tmp_path / "hapticd.device"
     StopFile(path, node.identify).keep(node.path, node.theirs, ZERO, STOP, 0.0)
     return path
@@ -97,9 +97,9 @@ def record(tmp_path: Path, node: Node) -> Path:
 
 def test_zero_then_stop(record: Path, node: Node) -> None:
     assert os.stat(record).st_mode & 0o777 == 0o600
-    said = stop_device(record, sysfs=node.sysfs)
+    text = stop_device(record, sysfs=node.sysfs)
     assert node.written(len(b"".join(ZERO + STOP))) == b"".join(ZERO + STOP)
-    assert said == f'{node.path} ("A stick"): force zero, effects stopped, 3 reports'
+    assert text == f'{node.path} ("A stick"): force zero, effects stopped, 3 reports'
     assert not record.exists()
     assert stop_device(record, sysfs=node.sysfs) is None
 
@@ -117,7 +117,7 @@ def test_a_driver_that_changed_is_the_same_device(record: Path, node: Node) -> N
     assert "force zero" in str(stop_device(record, sysfs=node.sysfs))
 
 
-def test_a_node_that_is_no_hid_device_gets_nothing(record: Path, node: Node) -> None:
+def test_a_node_that_is_not_a_hid_device_receives_nothing(record: Path, node: Node) -> None:
     (node.entry / "subsystem").unlink()
     (node.entry / "subsystem").symlink_to("../../../../class/tty")
     assert "no longer a HID device" in str(stop_device(record, sysfs=node.sysfs))
@@ -162,12 +162,12 @@ def test_without_another_thread_it_is_stopped_all_the_same(
 
     monkeypatch.setattr(threading.Thread, "start", start)
     assert "force zero, effects stopped" in str(stop_device(record, sysfs=node.sysfs))
-    whole = b"".join([*ZERO, *STOP])
-    assert node.written(len(whole)) == whole
+    expected = b"".join([*ZERO, *STOP])
+    assert node.written(len(expected)) == expected
 
 
 def refuses(*refused: bytes) -> dict[str, Any]:
-    """A device that refuses these reports."""
+    """Return a device that refuses these reports."""
 
     def write(fd: int, report: bytes) -> int:
         if report in refused:
@@ -186,9 +186,7 @@ def refuses(*refused: bytes) -> dict[str, Any]:
         ([], [], "force zero, effects stopped, 1 reports"),
     ],
 )
-def test_reports_that_are_refused_are_told(
-    tmp_path: Path, stop: list[bytes], refused: list[bytes], wanted: str
-) -> None:
+def test_refused_reports_are_listed(tmp_path: Path, stop: list[bytes], refused: list[bytes], wanted: str) -> None:
     path = tmp_path / "record"
     StopFile(path, lambda fd: FAKE).keep("/dev/x", 0, ZERO, stop, 0.0)
     assert wanted in str(stop_device(path, **refuses(*refused)))
@@ -244,7 +242,7 @@ def test_a_record_of_somebody_else(record: Path, node: Node) -> None:
     assert node.written() == b""
 
 
-def test_a_record_that_is_no_file(tmp_path: Path) -> None:
+def test_a_record_that_is_not_a_regular_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "folder").mkdir()
     for name in ("pipe", "folder"):
@@ -276,7 +274,7 @@ def changed(record: Any, key: str, value: object) -> Any:
         ("pause_s", 11),
     ],
 )
-def test_a_record_that_is_none(record: Path, key: str, value: object) -> None:
+def test_a_file_that_is_not_a_record(record: Path, key: str, value: object) -> None:
     record.write_text(json.dumps(changed(json.loads(record.read_text()), key, value)))
     with pytest.raises(HapticdError, match="not a record of a device"):
         load(record)
@@ -304,7 +302,7 @@ def test_anything_else_is_one_line(tmp_path_factory: pytest.TempPathFactory, tex
     assert "\n" not in str(caught.value)
 
 
-def test_what_a_daemon_writes_is_read_back(record: Path, node: Node) -> None:
+def test_a_written_record_is_read_back(record: Path, node: Node) -> None:
     found = load(record)
     assert found == Record(node.path, node.identify(node.theirs), tuple(ZERO), tuple(STOP), 0.0)  # type: ignore[arg-type]
 
@@ -312,7 +310,7 @@ def test_what_a_daemon_writes_is_read_back(record: Path, node: Node) -> None:
 # ---- What the daemon writes ------------------------------------------------------------------------------------------
 
 
-def test_nothing_is_written_for_what_is_no_hid_device(tmp_path: Path) -> None:
+def test_no_record_is_written_for_a_node_that_is_not_a_hid_device(tmp_path: Path) -> None:
     with open(tmp_path / "file", "wb") as file:
         StopFile(tmp_path / "record").keep("/dev/x", file.fileno(), ZERO, STOP, 0.0)
     with open("/dev/null", "rb") as null:
@@ -326,7 +324,7 @@ def test_a_record_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
 
 
 class Driven:
-    """An engine that drives a fake joystick."""
+    """An engine that drives a simulated joystick."""
 
     def __init__(self, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.stick = FakePid(bytes(Joystick()))
@@ -342,7 +340,7 @@ class Driven:
 
 
 def test_the_record_of_a_joystick_stops_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What stands in it while the daemon drives is enough: the device's own state machine is at rest after it."""
+    """The record of a running daemon suffices: afterwards the state machine of the device is at rest."""
     driven = Driven(tmp_path, monkeypatch)
     stick = driven.stick
     stick.wait(lambda: stick.enabled and len(stick.effects) == 2)
@@ -375,10 +373,10 @@ def test_the_record_stays_when_the_joystick_was_lost(tmp_path: Path, monkeypatch
     driven.stick.close()
 
 
-def test_a_daemon_stops_first_what_the_one_before_it_left(
+def test_a_daemon_first_stops_the_device_of_the_previous_daemon(
     tmp_path: Path, record: Path, node: Node, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A record of a device that is not there any more, one that is not ours, none."""
+    """The record of an absent device, of another device, and no record."""
     (node.entry / "device" / "uevent").unlink()
     with caplog.at_level(logging.INFO):
         _stop_device_of_killed_daemon(record)

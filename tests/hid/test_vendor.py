@@ -1,4 +1,4 @@
-"""Devices with reports of their own: their description, what is wrong with it, and the plan that comes of it."""
+"""Devices with vendor reports: their description, its errors, and the plan made from it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Recorder:
 
 
 def changed(**parts: dict[str, Any]) -> dict[str, Any]:
-    """The description with other members, by path: output__x={"bit_size": 8}."""
+    """Return the description with other members, by path: output__x={"bit_size": 8}."""
     report = copy.deepcopy(REPORT)
     for path, members in parts.items():
         place = report
@@ -129,7 +129,7 @@ def test_forces(force_n: tuple[float, float], x: int, y: int) -> None:
 def test_a_number_lies_where_its_bits_are() -> None:
     plan = plan_of(hid(REPORT), hid(REPORT).report or pytest.fail())
     for bits in (each.bits for each in plan.force[0].values):
-        for counts in (bits.least, -1 if bits.signed else 1, 0, 1, 1000, bits.most):
+        for counts in (bits.min_counts, -1 if bits.signed else 1, 0, 1, 1000, bits.max_counts):
             report = bytearray(b"\xa5" * 7)
             bits.put(report, counts)
             order: Literal["big", "little"] = "big" if bits.big_endian else "little"
@@ -138,9 +138,9 @@ def test_a_number_lies_where_its_bits_are() -> None:
             assert raw % (1 << bits.bit_size) == counts % (1 << bits.bit_size)
             assert bits.get(bytes(report)) == counts
             bits.put(report, bits.get(b"\xa5" * 7))
-            assert report == b"\xa5" * 7, "what lies beside it stays"
+            assert report == b"\xa5" * 7, "neighbouring bits are unchanged"
         with pytest.raises(ValueError):
-            bits.put(bytearray(7), bits.most + 1)
+            bits.put(bytearray(7), bits.max_counts + 1)
         with pytest.raises(ValueError):
             bits.put(bytearray(2), 0)
 
@@ -225,5 +225,5 @@ def test_descriptions_of_another_device(parts: dict[str, Any], reason: str) -> N
     assert str(caught.value) == reason
 
 
-def test_a_descriptor_that_cannot_be_read_says_nothing() -> None:
+def test_an_invalid_descriptor_is_ignored() -> None:
     VendorDriver(hid(REPORT), b"\x05")

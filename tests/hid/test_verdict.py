@@ -1,4 +1,4 @@
-"""One plan, one verdict: `devices parse`, `devices`, `doctor`, `check` and `run` say the same of a device, and why."""
+"""`devices parse`, `devices`, `doctor`, `check` and `run` agree whether a device can be driven, and why not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hapticd.doctor.machine import Machine, Needs
 from hapticd.hid import discovery, sources
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
-from hapticd.hid.discovery import Found
+from hapticd.hid.discovery import SysfsDevice
 from hapticd.hid.drivers.pid_plan import periodic_problem
 from hapticd.hid.plan import DeviceError
 from hapticd.hid.replay import Recording, save
@@ -41,7 +41,7 @@ MILLISECONDS = unit(0x1003, -3)
 
 
 def instead(old: bytes, new: bytes, descriptor: bytes = STICK) -> bytes:
-    """Another item in the first place where this one stands."""
+    """Return the descriptor with the first occurrence of an item replaced."""
     assert old in descriptor
     return descriptor.replace(old, new, 1)
 
@@ -53,26 +53,26 @@ def with_duration(items: bytes) -> bytes:
     )
 
 
-def with_magnitude(least: int, most: int) -> bytes:
+def with_magnitude(low: int, high: int) -> bytes:
     return instead(
         usage(0x70) + logical(-10000, 10000) + physical(-10000, 10000),
-        usage(0x70) + logical(least, most) + physical(least, most),
+        usage(0x70) + logical(low, high) + physical(low, high),
     )
 
 
 def with_axis(name: int) -> bytes:
-    """The axes X and Y by other usages."""
+    """Return a descriptor with other usages for the axes X and Y."""
     return instead(usage(0x30, 0x31) + logical(-32767, 32767), usage(name, name + 1) + logical(-32767, 32767))
 
 
 def with_id(report: int, number: int) -> bytes:
-    """An output report, by the usage of its collection, with another id."""
+    """Return a descriptor in which an output report, given by the usage of its collection, has another id."""
     start = usage(report) + b"\xa1\x02\x85"
     at = STICK.index(start) + len(start)
     return STICK[:at] + bytes([number]) + STICK[at + 1 :]
 
 
-# What is wrong with a device, or None; the descriptor; and device.hid.
+# The expected reason, or None; the descriptor; and device.hid.
 CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
     "plain": (None, STICK, {}),
     "two reports with one id": (
@@ -195,12 +195,12 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
 }
 
 
-def plugged(descriptor: bytes) -> Found:
-    return Found("/dev/hidraw0", "Stick", 1, 2, "", "USB", "", descriptor, 1e-3, 1e-3, "ok")
+def plugged(descriptor: bytes) -> SysfsDevice:
+    return SysfsDevice("/dev/hidraw0", "Stick", 1, 2, "", "USB", "", descriptor, 1e-3, 1e-3, "ok")
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_everybody_says_the_same(
+def test_all_commands_give_the_same_verdict(
     name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     reason, descriptor, keys = CASES[name]
@@ -216,42 +216,42 @@ def test_everybody_says_the_same(
     config.write_text(json.dumps({"device": device}))
 
     # run: a device that is found and can be driven is opened.
-    said = {"run": ""}
+    reasons = {"run": ""}
     try:
         open_hid(hid)
     except DeviceError as error:
-        said["run"] = str(error)
+        reasons["run"] = str(error)
     # devices parse
     code = main(["devices", "parse", str(file), "-c", str(config)])
     captured = capsys.readouterr()
     message = captured.out + captured.err
-    said["parse"] = "" if message.startswith("can be driven\n") else message
+    reasons["parse"] = "" if message.startswith("can be driven\n") else message
     assert code == (1 if captured.err else 0)
     # devices
     assert main(["devices", "-c", str(config)]) == 0
     listed = capsys.readouterr().out.splitlines()[1].strip()
-    said["devices"] = "" if listed.startswith("can be driven") else listed
+    reasons["devices"] = "" if listed.startswith("can be driven") else listed
     assert main(["devices", "-c", str(config), "--json"]) == 0
     (item,) = json.loads(capsys.readouterr().out)
     assert item["usable"] == (reason is None) and (item["why_not"] is None) == (reason is None)
     # check
-    said["check"] = "".join(problem.problem for problem in check(load_config({"device": device})).refused)
+    reasons["check"] = "".join(problem.problem for problem in check(load_config({"device": device})).refused)
     # doctor
     findings = list(doctor.permissions(Machine(find=lambda sysfs, dev: here), Needs(device=hid)))
-    said["doctor"] = "".join(one.what for one in findings if one.verdict == "fail")
+    reasons["doctor"] = "".join(one.what for one in findings if one.verdict == "fail")
 
     if reason is None:
-        assert said == dict.fromkeys(said, "")
+        assert reasons == dict.fromkeys(reasons, "")
     else:
-        assert all(reason in each for each in said.values()), said
-        assert all("\n" not in each.strip() for of, each in said.items() if of != "parse")
+        assert all(reason in each for each in reasons.values()), reasons
+        assert all("\n" not in each.strip() for of, each in reasons.items() if of != "parse")
 
 
 @pytest.mark.parametrize("name", ["a duration of 0 to 0", "two axes and nothing that tells them apart", "plain"])
 def test_a_recording_is_judged_as_the_device(
     name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`run` itself refuses in one line, before anything is opened; `check` counts it."""
+    """`run` refuses it in one line, before anything is opened; `check` counts it."""
     reason, descriptor, _ = CASES[name]
     recording, config = tmp_path / "stick.jsonl", tmp_path / "config.yaml"
     save(recording, Recording("Stick", 1, 2, descriptor, ((0.0, bytes(7)),)), False)
@@ -271,7 +271,7 @@ def test_a_recording_is_judged_as_the_device(
 
 
 def test_a_description_that_does_not_fit_is_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Not what the descriptor lacks of the PID class."""
+    """The reason is not what the descriptor lacks of the PID class."""
     file, config = tmp_path / "descriptor", tmp_path / "config.yaml"
     file.write_bytes(bytes(Joystick(without=frozenset({0x73}))))
     axis = {"bit_offset": 0, "bit_size": 8}
@@ -287,8 +287,8 @@ def test_a_description_that_does_not_fit_is_the_reason(tmp_path: Path, capsys: p
     )
 
 
-def test_a_reversed_range_is_one_line_whoever_asks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Linux refuses the whole descriptor, so such a device has no node."""
+def test_a_reversed_range_is_reported_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Linux refuses the complete descriptor, so such a device has no node."""
     descriptor = with_duration(logical(100, 5))
     file = tmp_path / "descriptor"
     file.write_bytes(descriptor)
@@ -299,8 +299,8 @@ def test_a_reversed_range_is_one_line_whoever_asks(tmp_path: Path, capsys: pytes
     assert why_not is not None and "its logical minimum 100 is above its maximum 5" in why_not
 
 
-def test_levels_of_periodic_effects_that_end_at_zero_are_no_levels() -> None:
-    """The fade's level was divided by."""
+def test_levels_of_periodic_effects_that_end_at_zero_are_refused() -> None:
+    """The fade level was divided by its largest count, zero."""
     fade = usage(0x5D) + logical(0, 255) + physical(0, 255)
     descriptor = instead(fade, usage(0x5D) + logical(-5, 0) + physical(-5, 0))
     hid = Hid(offload="auto")
@@ -309,7 +309,7 @@ def test_levels_of_periodic_effects_that_end_at_zero_are_no_levels() -> None:
 
 
 def test_periodic_effects_that_share_a_report_are_not_used() -> None:
-    """Each Set Periodic would have written zeros over the numbers of the other report. Constant forces need none."""
+    """Each Set Periodic would set the numbers of the other report to zero. Constant forces do not need it."""
     hid = Hid(offload="auto")
     descriptor = with_id(0x6E, 4)
     assert verdict_of(hid, descriptor).drivable

@@ -1,4 +1,4 @@
-"""The group file that a job in the virtual machine prepares, whatever the host's holds."""
+"""The group file that a job in the virtual machine prepares, whatever the group file of the host contains."""
 
 import pytest
 

@@ -329,7 +329,7 @@ def check_plan(reports: Reports, plan: Plan, *, endless: bool) -> None:
 def check_periodic(reports: Reports, plan: Plan) -> None:
     """Effects that the device plays by itself, of one mode."""
     assert plan.periodic is not None
-    shape = nearest_effect.nearest_effect(_MODE, plan.periodic.numbers)
+    shape = nearest_effect.nearest_effect(_MODE, plan.periodic.scales)
     if shape is None:
         return
 

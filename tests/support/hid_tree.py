@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hapticd.hid.claim import Claims
-from hapticd.hid.discovery import Found, find
+from hapticd.hid.discovery import SysfsDevice, find
 from tests.support.hid_descriptors import Joystick
 
 
@@ -86,11 +86,11 @@ class Kernel:
     def claims(self) -> Claims:
         return Claims(self.root, self.write, self.run)
 
-    def all(self) -> list[Found]:
+    def all(self) -> list[SysfsDevice]:
         """The devices, by number."""
         return find(self.root / "sys/class/hidraw", self.root / "dev")
 
-    def found(self, name: str) -> Found:
+    def found(self, name: str) -> SysfsDevice:
         (one,) = (one for one in self.all() if one.hid_name == name)
         return one
 

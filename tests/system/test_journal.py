@@ -1,4 +1,4 @@
-"""The log: where lines go, and which events stand in it."""
+"""The log: where lines are written, and which events are logged."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ with journal.attached("info", stream):
         log.exception("it failed")
 with journal.attached("info", {}):
     log.info("plain")
-    log.debug("not told")
+    log.debug("not written")
 with journal.attached("warning", {}):
-    log.info("not told")
-    log.warning("told")
+    log.info("not written")
+    log.warning("written")
 with journal.attached("debug", {}):
     log.debug("all")
     logging.getLogger("asyncio").info("a library's")
@@ -56,13 +56,13 @@ assert not logging.getLogger().handlers
     assert lines[:4] == ["<4>hello", "<6>i", "<3>it failed", "<3>Traceback (most recent call last):"]
     of_journal = [line for line in lines if line.startswith("<")]
     assert of_journal[-2:] == ["<3>ValueError: first", "<3>second"]
-    dated = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d hapticd: (plain|told|all)")
+    dated = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d hapticd: (plain|written|all)")
     rest = lines[len(of_journal) :]
-    assert [match[1] for line in rest if (match := dated.fullmatch(line))] == ["plain", "told", "all"]
+    assert [match[1] for line in rest if (match := dated.fullmatch(line))] == ["plain", "written", "all"]
     assert len(rest) == 3
 
 
-def test_nobody_waits_for_who_does_not_read() -> None:
+def test_no_thread_waits_for_a_reader_that_does_not_read() -> None:
     program = """
 import logging
 from hapticd.system import journal
@@ -104,7 +104,7 @@ class Clock:
 
 
 @pytest.fixture
-def said(caplog: pytest.LogCaptureFixture) -> Iterator[pytest.LogCaptureFixture]:
+def logged(caplog: pytest.LogCaptureFixture) -> Iterator[pytest.LogCaptureFixture]:
     with caplog.at_level(logging.INFO, logger="hapticd"):
         yield caplog
 
@@ -114,8 +114,8 @@ def overrun(missed: int = 3, count: int = 2) -> dict[str, object]:
 
 
 @pytest.mark.slow
-def test_a_flood_is_one_line_at_once_and_then_sums_at_doubling_intervals(said: pytest.LogCaptureFixture) -> None:
-    """As a daemon without real-time rights has it: for ten hours some periods are missed ten times a second."""
+def test_a_flood_is_one_line_at_once_and_then_sums_at_doubling_intervals(logged: pytest.LogCaptureFixture) -> None:
+    """A daemon without real-time rights misses some periods ten times a second, for ten hours."""
     clock = Clock()
     log = EventLog(clock)
     seconds = 10 * 3600
@@ -123,59 +123,59 @@ def test_a_flood_is_one_line_at_once_and_then_sums_at_doubling_intervals(said: p
         clock.s = 0.1 * tenth
         log.note(overrun())
         log.flush()
-    assert said.messages[:4] == [
+    assert logged.messages[:4] == [
         "3 periods missed, 2 times",
         "30 periods missed, 20 times, in the last 1 s",
         "60 periods missed, 40 times, in the last 2 s",
         "120 periods missed, 80 times, in the last 4 s",
     ]
-    assert said.messages[-1] == "108,000 periods missed, 72,000 times, in the last 1 h"
-    assert len(said.messages) == 1 + 12 + 8
+    assert logged.messages[-1] == "108,000 periods missed, 72,000 times, in the last 1 h"
+    assert len(logged.messages) == 1 + 12 + 8
     clock.s += FORGET_AFTER_S
-    log.flush()  # what was held back
+    log.flush()  # the delayed sum
     clock.s += FORGET_AFTER_S
     log.note(overrun(1, 1))
-    assert said.messages[-1] == "1 period missed"
+    assert logged.messages[-1] == "1 period missed"
 
 
-def test_who_lacks_the_rights_is_sent_to_the_doctor_once(said: pytest.LogCaptureFixture) -> None:
+def test_missing_rights_are_logged_only_once(logged: pytest.LogCaptureFixture) -> None:
     clock = Clock()
-    for missing, told in ((True, 1), (False, 0)):
-        said.clear()
+    for missing, hints in ((True, 1), (False, 0)):
+        logged.clear()
         log = EventLog(clock, lambda missing=missing: missing)  # type: ignore[misc]
         for _ in range(100):
             clock.s += 10
             log.note(overrun())
             log.flush()
-        assert len([line for line in said.messages if "hapticd doctor" in line]) == told
-        assert "periods missed" in said.messages[0]
+        assert len([line for line in logged.messages if "hapticd doctor" in line]) == hints
+        assert "periods missed" in logged.messages[0]
 
 
-def test_what_cannot_be_added_up_is_told_by_its_last_with_the_number(said: pytest.LogCaptureFixture) -> None:
+def test_lines_that_cannot_be_added_up_show_the_newest_and_the_number(logged: pytest.LogCaptureFixture) -> None:
     clock = Clock()
     log = EventLog(clock)
     for faults in (["device", "overload"], [], ["device"], []):
         log.note({"event": "fault", "tick": 1, "time_ns": 0, "faults": faults})
-    assert [record.levelname for record in said.records] == ["ERROR"]
+    assert [record.levelname for record in logged.records] == ["ERROR"]
     clock.s = 2.0
     log.flush()
-    assert said.messages == [
+    assert logged.messages == [
         "fault: device and overload; forces are off until somebody turns them on (hapticd force on)",
         "faults cleared (and 2 more in the last 2 s)",
     ]
 
 
-def test_a_fault_is_held_back_a_minute_at_most(said: pytest.LogCaptureFixture) -> None:
+def test_a_fault_is_held_back_a_minute_at_most(logged: pytest.LogCaptureFixture) -> None:
     clock = Clock()
     log = EventLog(clock)
     for _ in range(3600):
         clock.s += 1.0
         log.note({"event": "fault", "tick": 1, "time_ns": 0, "faults": ["lease"]})
         log.flush()
-    assert "(and 59 more in the last 60 s)" in said.messages[-1]
+    assert "(and 59 more in the last 60 s)" in logged.messages[-1]
 
 
-def test_with_level_debug_every_event_is_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_at_level_debug_every_event_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.DEBUG, logger="hapticd"):
         log = EventLog(Clock())
         for _ in range(3):
@@ -185,22 +185,22 @@ def test_with_level_debug_every_event_is_told(caplog: pytest.LogCaptureFixture) 
     assert caplog.messages[1] == "event contact: time_ns 1234567890, speed_m_per_s 0.25, position_m [0.5, 0.0]"
 
 
-def test_a_sum_of_missed_periods_says_what_part_of_all_they_are(said: pytest.LogCaptureFixture) -> None:
+def test_a_sum_of_missed_periods_has_their_share(logged: pytest.LogCaptureFixture) -> None:
     clock = Clock()
     log = EventLog(clock, rate_hz=lambda: 2000.0)
     for _ in range(3):
         log.note(overrun(10))
     clock.s = 4.0
     log.flush()
-    assert said.messages == ["10 periods missed, 2 times", "20 periods missed (0.25 %), 4 times, in the last 4 s"]
+    assert logged.messages == ["10 periods missed, 2 times", "20 periods missed (0.25 %), 4 times, in the last 4 s"]
 
 
-def test_events_of_consequence_have_words_and_others_none(said: pytest.LogCaptureFixture) -> None:
+def test_only_important_events_are_logged(logged: pytest.LogCaptureFixture) -> None:
     event = records(EVENT_DTYPE, 1)[0]
     silent = {EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE, EventKind.GROOVE, EventKind.SATURATION}
     silent |= {EventKind.REVISION, EventKind.MARK, EventKind.GESTURE_END}
     for kind in EventKind:
         event["kind"] = kind
-        said.clear()
+        logged.clear()
         EventLog(Clock()).note(event_map(event, "x"))
-        assert len(said.messages) == (kind not in silent), kind
+        assert len(logged.messages) == (kind not in silent), kind

@@ -1,4 +1,4 @@
-"""sd_notify: what arrives at a service manager's socket, and when."""
+"""sd_notify: which messages arrive at a service manager's socket, and when."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from hapticd.system import notify
 
 
 class Manager:
-    """A service manager's end."""
+    """The service manager's end of the socket."""
 
     def __init__(self, address: str) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind(address)
         self.socket.setblocking(False)
 
-    def told(self) -> list[dict[str, str]]:
-        """Everything that has arrived, each message by its variables."""
+    def received(self) -> list[dict[str, str]]:
+        """Return the received messages, each as a map of its variables."""
         found = []
         while True:
             try:
@@ -43,11 +43,11 @@ def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Manager
     manager.socket.close()
 
 
-def test_what_is_told(manager: Manager) -> None:
+def test_messages_and_their_variables(manager: Manager) -> None:
     before = time.monotonic_ns() // 1000
     assert notify.ready("two\nlines = one") and notify.reloading() and notify.status("x") and notify.stopping()
     assert notify.alive()
-    ready, reloading, status, stopping, alive = manager.told()
+    ready, reloading, status, stopping, alive = manager.received()
     assert ready == {"READY": "1", "STATUS": "two lines = one"}
     assert reloading.keys() == {"RELOADING", "MONOTONIC_USEC"}
     assert before <= int(reloading["MONOTONIC_USEC"]) <= time.monotonic_ns() // 1000
@@ -59,11 +59,13 @@ def test_an_abstract_address(monkeypatch: pytest.MonkeyPatch) -> None:
     manager = Manager(f"\0{name}")
     monkeypatch.setenv("NOTIFY_SOCKET", f"@{name}")
     assert notify.ready()
-    assert manager.told() == [{"READY": "1"}]
+    assert manager.received() == [{"READY": "1"}]
     manager.socket.close()
 
 
-def test_without_a_manager_nothing_is_told(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_without_a_service_manager_nothing_is_sent(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     assert not notify.ready("x") and not notify.alive() and not notify.stopping()
     assert not caplog.records
@@ -82,7 +84,7 @@ def test_a_manager_that_does_not_read_is_not_waited_for(manager: Manager, caplog
     while notify.alive():
         pass
     assert not caplog.records
-    full = len(manager.told())
+    full = len(manager.received())
     assert full > 0
     assert notify.alive()
 
@@ -104,7 +106,7 @@ def test_the_watchdog_of_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class World:
-    """A clock, a servo and a line of state."""
+    """A clock, a servo and a status line."""
 
     def __init__(self) -> None:
         self.now_s, self.ticks, self.line = 100.0, 5, "forces off"
@@ -120,20 +122,20 @@ def test_the_watchdog_is_fed_while_the_servo_ticks_and_only_then(
     world = World()
     watch = world.watch()
     fed = []
-    for step in range(400):  # 40 s, the servo stands from 10 s to 20 s
+    for step in range(400):  # 40 s; the servo stops from 10 s to 20 s
         world.now_s = 100.0 + 0.1 * step
         if not 100 <= step < 200:
             world.ticks += 1000
         watch()
-        fed += [0.1 * step for message in manager.told() if message == {"WATCHDOG": "1"}]
+        fed += [0.1 * step for message in manager.received() if message == {"WATCHDOG": "1"}]
     ticking = [time_s for time_s in fed if time_s <= 10.0]
     assert max(later - sooner for sooner, later in zip([0.0, *ticking], [*ticking, 10.0], strict=True)) <= 1.0
-    # At most one is on its way for what the servo did before it stood.
+    # At most one message is due to ticks from before the stop.
     assert len([time_s for time_s in fed if 10.0 < time_s < 20.0]) <= 1
     assert any(20.0 <= time_s <= 21.0 for time_s in fed)
 
 
-def test_the_line_of_state_is_told_when_it_changes(manager: Manager) -> None:
+def test_the_status_line_is_sent_when_it_changes(manager: Manager) -> None:
     world = World()
     watch = world.watch()
     for step in range(100):
@@ -141,15 +143,15 @@ def test_the_line_of_state_is_told_when_it_changes(manager: Manager) -> None:
         world.ticks += 1
         world.line = "forces on" if step >= 50 else "forces off"
         watch()
-    assert manager.told() == [{"STATUS": "forces off"}, {"STATUS": "forces on"}]
+    assert manager.received() == [{"STATUS": "forces off"}, {"STATUS": "forces on"}]
 
 
 def test_nothing_is_looked_at_without_a_manager(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     monkeypatch.delenv("WATCHDOG_USEC", raising=False)
-    looks = []
-    watch = notify.Watch(lambda: (len(looks), "") if looks.append(1) is None else (0, ""), lambda: 1e9 * len(looks))
-    before = len(looks)
+    polls = []
+    watch = notify.Watch(lambda: (len(polls), "") if polls.append(1) is None else (0, ""), lambda: 1e9 * len(polls))
+    before = len(polls)
     for _ in range(5):
         watch()
-    assert len(looks) == before
+    assert len(polls) == before

@@ -1,4 +1,4 @@
-"""How many descriptors the daemon takes, and how many of them are for clients."""
+"""The limit of descriptors of the daemon, and how many connections it allows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where sockets are, and whom a runtime directory may belong to."""
+"""The paths of sockets, and the owner of a runtime directory."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hapticd.system.paths import check_directory, daemon_paths, runtime_paths
         ({}, f"/tmp/hapticd-{os.getuid()}"),
     ],
 )
-def test_the_environment_says_where(
+def test_the_environment_selects_the_directory(
     environment: dict[str, str], directory: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR"):

@@ -1,4 +1,4 @@
-"""The daemon's sockets have their own names from the beginning, for whoever looks at the file system and the kernel."""
+"""The daemon's sockets have their final names from the beginning, in the file system and in the kernel."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hapticd.system.paths import Owned, RuntimePaths, owned, runtime_paths
 
 @pytest.fixture
 def paths(tmp_path: Path) -> Iterator[RuntimePaths]:
-    """Of a directory that nobody has locked, with the umask of a daemon."""
+    """A directory that nobody has locked, with the umask of a daemon."""
     (tmp_path / "run").mkdir(mode=0o700)
     before = os.umask(0o007)
     yield runtime_paths(tmp_path / "run")
@@ -31,7 +31,7 @@ def paths(tmp_path: Path) -> Iterator[RuntimePaths]:
 
 
 def bound(directory: Path) -> set[str]:
-    """Names in a directory that the kernel has of sockets."""
+    """Return the names of the sockets in a directory, as the kernel lists them."""
     names = (line.split()[-1] for line in Path("/proc/net/unix").read_text().splitlines())
     return {name for name in names if name.startswith(f"{directory}/")}
 
@@ -64,7 +64,7 @@ def test_an_open_directory_is_closed(tmp_path: Path) -> None:
     assert stat.S_IMODE(paths.directory.stat().st_mode) == 0o700
 
 
-def test_what_others_may_write_to_is_refused(tmp_path: Path) -> None:
+def test_a_directory_that_others_may_write_to_is_refused(tmp_path: Path) -> None:
     paths = runtime_paths(tmp_path / "run")
     paths.directory.mkdir()
     paths.directory.chmod(0o777)
@@ -94,7 +94,7 @@ def test_the_kernel_has_the_name_that_the_file_has(paths: RuntimePaths) -> None:
 
 @pytest.mark.skipif(shutil.which("systemd-tmpfiles") is None, reason="needs systemd-tmpfiles")
 def test_systemd_tmpfiles_leaves_a_socket_that_somebody_listens_to(paths: RuntimePaths, tmp_path: Path) -> None:
-    """Without the lock, that is: which another user's rule may not see."""
+    """This holds even without the lock, which a rule of another user may not see."""
     rule = tmp_path / "rule.conf"
     rule.write_text(f"d {paths.directory} 0700 - - 0\n")
     with socket.socket(socket.AF_UNIX) as dead:
@@ -105,7 +105,7 @@ def test_systemd_tmpfiles_leaves_a_socket_that_somebody_listens_to(paths: Runtim
         probe(paths)
 
 
-def test_what_a_killed_daemon_left_is_replaced(paths: RuntimePaths) -> None:
+def test_sockets_of_a_killed_daemon_are_replaced(paths: RuntimePaths) -> None:
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(paths.command))
     with Owned(paths).listen(paths.command):
@@ -133,14 +133,16 @@ def test_a_name_that_cannot_be_taken_is_one_line(paths: RuntimePaths) -> None:
         Owned(paths).listen(paths.command)
 
 
-def test_who_comes_between_bind_and_listen_is_let_in(paths: RuntimePaths, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_that_connects_between_bind_and_listen_is_accepted(
+    paths: RuntimePaths, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with socket.socket(socket.AF_UNIX) as starting:
         starting.bind(str(paths.command))
         monkeypatch.setattr(time, "sleep", lambda _: starting.listen())
         probe(paths)
 
 
-def test_a_socket_that_nobody_listens_to_is_no_daemon(paths: RuntimePaths) -> None:
+def test_a_socket_without_a_listener_is_not_a_daemon(paths: RuntimePaths) -> None:
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(paths.command))
         with pytest.raises(DaemonNotRunning, match="no daemon at"):

@@ -1,4 +1,4 @@
-"""`hapticd install-service` into folders of its own, and what systemd itself says of the units."""
+"""`hapticd install-service` into a temporary root, and systemd's verdict on the units."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def files(root: Path) -> set[str]:
 
 
 def installed(installation: Installation, root: Path, action: Action = "system", dry_run: bool = False) -> list[str]:
-    """The lines of an installation below `root`."""
+    """Return the lines of an installation below `root`."""
     return run(action, installation, root, dry_run)
 
 
@@ -55,7 +55,7 @@ def test_files_are_installed_and_each_command_is_printed(tmp_path: Path) -> None
     assert load_config([tmp_path / CONFIG]) == default_config()
 
 
-def test_again_all_but_the_configuration_is_replaced(tmp_path: Path) -> None:
+def test_a_second_installation_replaces_all_but_the_configuration(tmp_path: Path) -> None:
     installed(HERE, tmp_path)
     for name in (DAEMON, CONFIG):
         (tmp_path / name).write_text("# mine\n")
@@ -65,7 +65,7 @@ def test_again_all_but_the_configuration_is_replaced(tmp_path: Path) -> None:
 
 
 def test_a_masked_unit_does_not_lead_into_a_device(tmp_path: Path) -> None:
-    """`systemctl mask` puts a link to /dev/null in its place."""
+    """`systemctl mask` replaces a unit by a link to /dev/null."""
     (tmp_path / "device").touch()
     (tmp_path / DAEMON).parent.mkdir(parents=True)
     (tmp_path / DAEMON).symlink_to(tmp_path / "device")
@@ -90,7 +90,7 @@ def test_a_dry_run_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_another_root_leaves_the_running_system_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No command but install and rm is run: the others' names lead to one that fails."""
+    """Only install and rm are run: the names of all other commands lead to a program that fails."""
     tools = tmp_path / "bin"
     tools.mkdir()
     for name in ("systemctl", "udevadm", "systemd-sysusers", "systemd-tmpfiles"):
@@ -101,11 +101,11 @@ def test_another_root_leaves_the_running_system_alone(tmp_path: Path, monkeypatc
     installed(HERE, tmp_path / "root", "remove-system")
 
 
-def test_a_command_that_fails_is_told(tmp_path: Path) -> None:
+def test_a_command_that_fails_is_reported(tmp_path: Path) -> None:
     (tmp_path / "etc").write_text("no folder\n")
-    with pytest.raises(HapticdError, match=r"^install: cannot create directory") as told:
+    with pytest.raises(HapticdError, match=r"^install: cannot create directory") as caught:
         installed(HERE, tmp_path)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_for_one_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,12 +121,12 @@ def test_for_one_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_without_rights_it_says_what_to_do() -> None:
+def test_without_rights_the_error_has_a_hint() -> None:
     with pytest.raises(HapticdError, match=r"Permission denied; run it as root, or .* with --user$"):
         run("system", HERE)
 
 
-def test_clients_are_told_the_directory_of_the_units() -> None:
+def test_the_units_use_the_directory_of_the_system_service() -> None:
     daemon, page = ((ROOT / "systemd" / name).read_text() for name in UNITS)
     assert f"\nRuntimeDirectory={SYSTEM_DIRECTORY.relative_to('/run')}\n" in daemon
     assert f" --runtime-dir {SYSTEM_DIRECTORY} web\n" in page
@@ -170,14 +170,14 @@ def test_paths_that_a_unit_file_cannot_name_are_refused(path: str) -> None:
 def test_this_installation_is_found_or_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sysconfig.get_path", lambda name: str(tmp_path))
     monkeypatch.setattr(sys, "argv", ["python"])
-    beside = Path(sys.executable).parent / "hapticd"
-    if not beside.exists():
+    neighbour = Path(sys.executable).parent / "hapticd"
+    if not neighbour.exists():
         with pytest.raises(HapticdError, match="no executable `hapticd` in "):
             Installation.this()
     (tmp_path / "hapticd").write_text("#!/bin/sh\n")
     (tmp_path / "hapticd").chmod(0o755)
     found = Installation.this()
-    assert found.executable == (beside if beside.exists() else tmp_path / "hapticd")
+    assert found.executable == (neighbour if neighbour.exists() else tmp_path / "hapticd")
     assert any(ROOT.is_relative_to(folder) for folder in found.folders)
     assert not any(one != two and one.is_relative_to(two) for one in found.folders for two in found.folders)
 
@@ -215,7 +215,7 @@ analyze = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="th
 @analyze
 @pytest.mark.parametrize("home", [False, True])
 def test_the_units_are_valid(tmp_path: Path, home: bool) -> None:
-    """In a root that has systemd's own units, the users and an executable."""
+    """The root has systemd's units, the users and an executable."""
     executable = Path("/home/ann/v 1/bin/hapticd") if home else Path("/opt/hapticd/bin/hapticd")
     installed(Installation(executable, (executable.parents[1],)), tmp_path)
     for program in (tmp_path / executable.relative_to("/"), tmp_path / "bin" / "kill"):
@@ -229,20 +229,20 @@ def test_the_units_are_valid(tmp_path: Path, home: bool) -> None:
     )
     words = ["systemd-analyze", "verify", f"--root={tmp_path}", *UNITS]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
-    said = [line for line in done.stderr.splitlines() if "hapticd" in line]
-    assert (done.returncode, said) == (0, [])
+    warnings = [line for line in done.stderr.splitlines() if "hapticd" in line]
+    assert (done.returncode, warnings) == (0, [])
 
 
 @analyze
-@pytest.mark.parametrize(("name", "most"), [("hapticd.service", 1.0), ("hapticd-web.service", 1.6)])
-def test_the_units_are_exposed_as_little_as_promised(name: str, most: float) -> None:
+@pytest.mark.parametrize(("name", "limit"), [("hapticd.service", 1.0), ("hapticd-web.service", 1.6)])
+def test_the_units_are_exposed_as_little_as_promised(name: str, limit: float) -> None:
     path = str(ROOT / "systemd" / name)
-    words = ["systemd-analyze", "security", "--offline=true", f"--threshold={round(10 * most)}", "--no-pager", path]
+    words = ["systemd-analyze", "security", "--offline=true", f"--threshold={round(10 * limit)}", "--no-pager", path]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout[-500:] + done.stderr
     (line,) = [line for line in done.stdout.splitlines() if "Overall exposure level" in line]
     exposure = float(line.split(":")[1].split()[0])
-    assert exposure <= most
-    # The page says the same.
+    assert exposure <= limit
+    # The documentation has the same figure.
     page = (ROOT / "docs" / "service.md").read_text()
     assert f"| `{name}` | {exposure:g} |" in page

@@ -1,4 +1,4 @@
-"""The udev rule for joysticks: which devices it knows, and how it tells those of the PID class."""
+"""The udev rule for joysticks: which devices it names, and how it recognises those of the PID class."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PLAIN = bytes.fromhex("05010904a101093009311500 26ff0375109502 8102c0")
 
 
 def known() -> list[str]:
-    """VENDOR:PRODUCT of the devices that are named."""
+    """Return VENDOR:PRODUCT of the named devices."""
     return [name for line in KNOWN for name in re.findall(r"\*:([0-9A-F]{4}:[0-9A-F]{4})\.\*", line)]
 
 
@@ -36,10 +36,10 @@ def test_each_known_device_is_named_once_as_the_kernel_writes_it() -> None:
 
 
 def test_no_other_file_has_the_numbers() -> None:
-    """Those of boards and makers stand in the rule alone; tests and examples may name a device."""
+    """Only the rule has the numbers of boards and vendors; tests and examples may name a device."""
     paths = [path for folder in ("hapticd", "docs") for path in (ROOT / folder).rglob("*")]
     text = "\n".join(path.read_text() for path in paths if path.suffix in (".py", ".md")).lower()
-    # The page's example of a configuration.
+    # The example in the documentation.
     assert [name for name in known() if name.lower() in text] in ([], ["045E:001B"])
 
 
@@ -51,11 +51,11 @@ def test_no_other_file_has_the_numbers() -> None:
         (PLAIN, False),
     ],
 )
-def test_the_pid_class_is_told_by_the_report_descriptor(tmp_path: Path, descriptor: bytes, is_pid: bool) -> None:
+def test_the_pid_class_is_recognised_by_the_report_descriptor(tmp_path: Path, descriptor: bytes, is_pid: bool) -> None:
     patterns = re.findall(r"/bin/grep -q?s?aP '([^']+)'", RULE)
     assert len(patterns) == 2 and patterns[0] == patterns[1]
     here = tmp_path / "report_descriptor"
     here.write_bytes(descriptor)
-    # The one that is not there does not matter: event nodes lie deeper than those of hidraw.
+    # A file that does not exist does not matter: event nodes lie deeper than hidraw nodes.
     command = ["/bin/grep", "-qsaP", patterns[0], str(tmp_path / "none"), str(here)]
     assert (subprocess.run(command, check=False).returncode == 0) == is_pid

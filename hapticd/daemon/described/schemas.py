@@ -26,7 +26,7 @@ import numpy as np
 from pydantic.json_schema import models_json_schema
 
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, records
-from hapticd.base.model import NAME_MAX_CHARACTERS, NAME_PATTERN, Model
+from hapticd.base.model import MAX_NAME_CHARACTERS, NAME_PATTERN, Model
 from hapticd.base.yaml_source import Json
 from hapticd.config.materials import Material
 from hapticd.config.operator import OperatorParams
@@ -114,7 +114,7 @@ def _properties(schema: dict[str, Json]) -> Schemas:
 
 
 def _by_name(patches: list[str]) -> dict[str, Json]:
-    pattern = NAME_PATTERN.replace("]+$", f"]{{1,{NAME_MAX_CHARACTERS}}}$")
+    pattern = NAME_PATTERN.replace("]+$", f"]{{1,{MAX_NAME_CHARACTERS}}}$")
     options: list[Json] = [{"$ref": patch} for patch in patches]
     return {pattern: {"anyOf": [*options, _NULL_SCHEMA]}}
 

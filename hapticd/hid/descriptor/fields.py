@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from typing import Final
 
 MIN_MAGNITUDE_COUNTS: Final = 8
-"""Least number of counts that a magnitude must have from zero to full force."""
+"""A magnitude must have at least this many counts from zero to full force."""
 MIN_AXIS_COUNTS: Final = 32
-"""Least number of counts that an axis must have from one end to the other."""
+"""An axis must have at least this many counts from one end to the other."""
 MIN_COUNTS_PER_TURN: Final = 32
-"""Least number of counts per turn that a direction must have; its error is then at most 6 degrees."""
+"""A direction must have at least this many counts per turn, so that its error is at most 6 degrees."""
 MIN_EFFECT_DURATION_S: Final = 0.005
-"""An effect with a shorter duration cannot be renewed in time."""
+"""A shorter effect could not be renewed in time."""
 MAX_EFFECT_DURATION_S: Final = 1.0
-"""Longest duration, unless a longer one is configured: the effects of a killed daemon push for their duration."""
+"""Longest duration, unless a longer one is configured: the effects of a killed daemon push until they end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Field:
 
     @property
     def is_signed(self) -> bool:
-        """Whether the field of the report holds a signed number, in two's complement."""
+        """Whether the field holds a signed number, in two's complement."""
         return self.logical_min < 0
 
     def counts_when_on(self) -> int | None:
@@ -72,15 +72,16 @@ class Field:
         """Return the counts of a full turn, for a field that holds a direction.
 
         The counts follow from the unit (degrees 0x14, radians 0x12), if the physical range in this unit is within 10 %
-        of one turn. Otherwise the range is one turn, as in Linux: many descriptors reset the unit before the field.
+        of one turn. Otherwise the field's range counts as one turn, as in Linux, because many descriptors reset the
+        unit before the field.
         """
         return (self.logical_max - self.logical_min) / (self._turns() or 1.0)
 
     def counts_at_north(self) -> float:
         """Return the count for an angle of zero, for a field that holds a direction.
 
-        If the physical range is within 10 % of one turn in its unit, or of 360 times a power of ten, the result is the
-        count whose physical value is zero, otherwise the count of the range that is nearest to zero.
+        If the physical range is within 10 % of one turn in its unit, or of 360 times a power of ten, this is the count
+        whose physical value is zero. Otherwise it is the count nearest to zero.
         """
         span = self.physical_max - self.physical_min
         is_turn = self._turns() is not None or any(0.9 <= span / (360.0 * 10**tens) <= 1.1 for tens in range(5))
@@ -99,7 +100,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One entry of a choice (for example one command of Device Control): writing `value` into `field` selects it."""
+    """An entry of a choice, for example a command of Device Control. Writing `value` into `field` selects the entry."""
 
     field: Field
     value: int
@@ -119,13 +120,13 @@ class Choice:
 
 def magnitude_fault(field: Field) -> str | None:
     """Return why a field cannot hold the magnitude of a force; None if it can."""
-    least, most = field.logical_min, field.logical_max
-    if most <= 0:
-        return f"its range, {least} to {most}, has no count above zero"
-    if most - max(least, 0) < MIN_MAGNITUDE_COUNTS:
-        return f"its range, {least} to {most}, has fewer than {MIN_MAGNITUDE_COUNTS} counts from none to full force"
-    if least < 0 and -least < most / 2:
-        return f"its range, {least} to {most}, has less than half of the full force in the negative direction"
+    low, high = field.logical_min, field.logical_max
+    if high <= 0:
+        return f"its range, {low} to {high}, has no count above zero"
+    if high - max(low, 0) < MIN_MAGNITUDE_COUNTS:
+        return f"its range, {low} to {high}, has fewer than {MIN_MAGNITUDE_COUNTS} counts from none to full force"
+    if low < 0 and -low < high / 2:
+        return f"its range, {low} to {high}, has less than half of the full force in the negative direction"
     return None
 
 
@@ -146,9 +147,9 @@ def angle_fault(field: Field) -> str | None:
 
 
 def duration_fault(field: Field, step_s: float, duration_s: float, wanted_s: float) -> str | None:
-    """Return why an effect cannot have `duration_s`, the nearest duration to `wanted_s`; None if it can.
+    """Return why an effect cannot have the duration `duration_s`, the nearest to `wanted_s`; None if it can.
 
-    `field` holds the duration; `step_s` is the time of one of its counts.
+    `field` holds the duration in counts of `step_s`.
     """
     range_s = f"Set Effect: Duration goes from {field.logical_min} to {field.logical_max} in counts of {step_s:g} s"
     if duration_s < MIN_EFFECT_DURATION_S:
@@ -156,10 +157,10 @@ def duration_fault(field: Field, step_s: float, duration_s: float, wanted_s: flo
             f"{range_s}: it holds no duration of {MIN_EFFECT_DURATION_S:g} s or more, so no effect could be renewed "
             "in time; device.hid.quirks: [infinite_duration] accepts it"
         )
-    most_s = max(MAX_EFFECT_DURATION_S, 2.0 * wanted_s)
-    if duration_s > most_s:
+    max_s = max(MAX_EFFECT_DURATION_S, 2.0 * wanted_s)
+    if duration_s > max_s:
         return (
             f"{range_s}: its shortest effect would push for {duration_s:g} s after the daemon was killed, it must be "
-            f"at most {most_s:g} s; device.hid.quirks: [infinite_duration] accepts it"
+            f"at most {max_s:g} s; device.hid.quirks: [infinite_duration] accepts it"
         )
     return None

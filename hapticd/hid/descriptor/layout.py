@@ -85,9 +85,9 @@ class Group:
     problems: list[str] = dataclasses.field(default_factory=list)
 
     def every(self, usage: int, inside: int | None = None) -> Iterator[tuple[ReportField, int]]:
-        """Yield the fields with an element of this usage (page << 16 | usage), and the index of that element.
+        """Yield the fields with an element of the usage (page << 16 | usage), and the index of that element.
 
-        Constant fields come last. `inside` restricts the fields to a collection of this usage.
+        Constant fields come last. `inside`, another usage, restricts the fields to those in a collection of that usage.
         """
         for constant in (False, True):
             for field in self.fields:
@@ -97,7 +97,7 @@ class Group:
                         yield field, index
 
     def number(self, usage: int, scaled: bool) -> Field | None:
-        """Return the first usable variable field that has this usage; None if there is no such field."""
+        """Return the first usable variable field with this usage; None without one. `scaled` as in `element`."""
         for field, index in self.every(usage if usage >> 16 else PID_PAGE | usage):
             found = self.element(field, index, scaled) if field.is_variable and not _is_fixed(field) else None
             if found is not None:
@@ -105,7 +105,7 @@ class Group:
         return None
 
     def accept(self, field: Field, name: str, fault: str | None) -> bool:
-        """Return whether `fault` is None; otherwise note the text `fault` as a problem of the field `name`."""
+        """Return True if `fault` is None; else return False and note the text `fault` as a problem of the field."""
         if fault is not None:
             kind = self.fields[0].kind
             self.problems.append(f"{kind} report {field.report_id}, bit {field.bit_offset} ({name}): {fault}")
@@ -117,8 +117,8 @@ class Group:
         `scaled` says that the field has a scale, which its logical range must define.
         """
         offset, size = field.bit_offset + index * field.bit_size, field.bit_size
-        least, most = (-(1 << (size - 1)), (1 << (size - 1)) - 1) if field.logical_min < 0 else (0, (1 << size) - 1)
-        low, high = max(field.logical_min, least), min(field.logical_max, most)
+        fits = (-(1 << (size - 1)), (1 << (size - 1)) - 1) if field.logical_min < 0 else (0, (1 << size) - 1)
+        low, high = max(field.logical_min, fits[0]), min(field.logical_max, fits[1])
         problem = None
         if size > MAX_FIELD_BITS:
             problem = f"it must have at most {MAX_FIELD_BITS} bits, has {size}"
@@ -208,7 +208,7 @@ class OneOf:
         return group.choice(self.usages)
 
     def lacking(self, found: object) -> list[str]:
-        """Return the names of required entries that the choice `found` lacks; if there is none, the choice's name."""
+        """Return the names of required entries that the choice `found` lacks; if it is None, the rule's name."""
         if found is None and self.name:
             return [self.name]
         return [name for entry, name in self.needed if not isinstance(found, Choice) or entry not in found.entries]
@@ -216,7 +216,7 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """Rule that finds a member of a report by calling a function; the result may be empty."""
+    """Rule that finds a member of a report by the function `find`, whose result may be empty."""
 
     find: Callable[[Group], object]
 
@@ -310,10 +310,10 @@ class SetEffect(Report):
     effect_type: Annotated[Choice, OneOf("Effect Type", EFFECT_TYPE_USAGES, (("constant_force", "ET Constant Force"),))]
     duration: Annotated[Field, Number("Duration", 0x50)]
     axes_enable: Annotated[Mapping[str, Field], Computed(_axes_enable)]
-    """Flags of Axes Enable by axis (x, y, ...); may be empty."""
+    """Flags of Axes Enable by axis (x, y, ...), possibly none."""
     direction: Annotated[tuple[Field, ...], Computed(_direction)]
-    """Fields of the direction in the order of the report; may be empty. They are angles, unless
-    `is_direction_cartesian`: with Direction Enable the first is the polar angle, without it there is one for each axis.
+    """Fields of the direction in the order of the report, possibly none. They are angles unless
+    `is_direction_cartesian`: with Direction Enable the first is the polar angle, else there is one angle for each axis.
     """
     is_direction_cartesian: Annotated[bool, Computed(_is_direction_cartesian)]
     """Whether the fields of the direction are signed components of a vector."""
@@ -453,7 +453,7 @@ _PID_REPORTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The reports and axes of a descriptor. If it is `usable`, all required reports are present."""
+    """The reports and axes of a descriptor. If the layout is `usable`, all required reports are present."""
 
     missing: tuple[str, ...]
     """Reports that a constant force needs and that are missing, named as in the specification; or "report: field"."""
@@ -556,7 +556,7 @@ class _LayoutFinder:
         return Layout(missing=missing, problems=problems, input=axes, effect_indices=indices, **found)
 
     def _report(self, rule: _ReportRule) -> Report | None:
-        """Return the first complete report that a rule finds. Without one, if it is required, note what is missing."""
+        """Return the first complete report that a rule finds. If a required report is absent, note what is missing."""
         lacking: list[str] = []
         for group in self._groups(rule):
             found, absent = _find_report(group, rule)

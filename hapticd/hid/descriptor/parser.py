@@ -64,7 +64,7 @@ class ReportKind(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """A collection of a descriptor. `number` is its place in the order in which the collections open."""
+    """A collection of a descriptor; collections are numbered in the order in which they open."""
 
     number: int
     usage: int
@@ -138,7 +138,7 @@ class ReportField:
         return self.usages[-1].last if self.usages and self.is_variable else None
 
     def index_of(self, usage: int) -> int | None:
-        """Return the first element (variable) or index (array) that has this usage; None if none has it."""
+        """Return the first element (variable) or index (array) that has this usage; None without one."""
         base = 0
         for usages in self.usages:
             if usages.first <= usage <= usages.last:
@@ -175,7 +175,7 @@ class Descriptor:
 
 @dataclass(slots=True)
 class _ItemData:
-    """The data bytes of an item. Whether they are a signed number is decided at the main item that uses them."""
+    """The data bytes of an item. Whether the number is signed is decided at the main item that uses it."""
 
     raw: int = 0
     size: int = 0
@@ -199,8 +199,8 @@ class _Globals:
 
     def range(self, which: str) -> tuple[int, int]:
         """Return the "Logical" or "Physical" range, as minimum and maximum."""
-        least, most = self.number(f"{which} Minimum").signed, self.number(f"{which} Maximum")
-        return least, most.signed if least < 0 else most.raw
+        low, high = self.number(f"{which} Minimum").signed, self.number(f"{which} Maximum")
+        return low, high.signed if low < 0 else high.raw
 
 
 @dataclass(slots=True)
@@ -375,7 +375,7 @@ class _Parser:
         self._skipped.append(f"byte {at} ({name}): {what}")
 
     def finish(self, end: int) -> Descriptor:
-        """Return the parsed descriptor. Raises DescriptorError if a collection is still open or none was declared."""
+        """Return the parsed descriptor. Raises DescriptorError without collections, or if one is still open."""
         if self._path:
             raise DescriptorError(f"report descriptor: a collection is still open at its end (byte {end})")
         if not self._collections:

@@ -1,4 +1,4 @@
-"""Set-up of devices of the PID class. pid_plan.py plans what is sent after it, pid_reports.py encodes reports.
+"""Set-up of devices of the PID class. pid_plan.py plans what is sent after a set-up, pid_reports.py encodes reports.
 
 A set-up resets the device, enables its actuators, sets its gain, creates the effects, and starts them with a force of
 zero.
@@ -110,7 +110,7 @@ class PidDriver:
     def _effects_in_pool(self, device: Device) -> int | None:
         """Return how many effects the device plays at a time; None if this is not known, or if hapticd needs only one.
 
-        The pool must be read before the first effect is created.
+        This reads PID Pool, which must happen before the first effect is created.
         """
         pool = None if "no_pid_pool" in self._hid.quirks else self._layout.pool
         several = len(effects_of(self._schemes[0], self._hid)) > 1
@@ -150,9 +150,7 @@ class PidDriver:
         layout, indices = self._layout, list[int]()
         try:
             for effect in effects_of(scheme, self._hid):
-                index = self._create(device)
-                if index in indices:
-                    raise DeviceError(f"{device.path}: PID Block Load returns Effect Block Index {index} twice")
+                index = self._create(device, indices)
                 indices.append(index)
                 device.write(set_effect_report(layout, self._hid, index, effect if scheme != "polar" else None))
                 device.write(constant_force_report(layout, index).at_rest())
@@ -172,11 +170,8 @@ class PidDriver:
         constant, made = len(self._indices), list[int]()
         try:
             while len(made) < min(lib.HD_DEVICE_EFFECTS, (max_effects or constant + lib.HD_DEVICE_EFFECTS) - constant):
-                index = self._create(device, "sine")
-                if index in self._indices:
-                    raise DeviceError(f"{device.path}: PID Block Load returns Effect Block Index {index} twice")
-                made.append(index)
-                self._indices.append(index)
+                made.append(self._create(device, self._indices, "sine"))
+                self._indices.append(made[-1])
         except _FullError:
             pass  # the effects that were created are used
         except _RefusedError:
@@ -191,8 +186,8 @@ class PidDriver:
         # Freed last, because a periodic effect that is not freed takes room but exerts no force.
         return replace(plan, stop=(*stops, *plan.stop, *frees), periodic=periodic)
 
-    def _create(self, device: Device, kind: str = "constant_force") -> int:
-        """Create an effect, and return its Effect Block Index. Raises DeviceError."""
+    def _create(self, device: Device, taken: Sequence[int], kind: str = "constant_force") -> int:
+        """Create an effect, and return its Effect Block Index. Raises DeviceError, also if the index is `taken`."""
         create, load = self._layout.create_new_effect, self._layout.block_load
         assert create is not None and load is not None
         report = ReportWriter(create)
@@ -209,6 +204,8 @@ class PidDriver:
                         f"{device.path}: PID Block Load: Effect Block Index must be between {first} and {last}, "
                         f"is {index}"
                     )
+                if index in taken:
+                    raise DeviceError(f"{device.path}: PID Block Load returns Effect Block Index {index} twice")
                 return index
             if status == "full":
                 raise _FullError(f"{device.path}: PID Block Load: full, no room for another effect")

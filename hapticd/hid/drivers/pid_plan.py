@@ -4,8 +4,8 @@ A force is exerted by constant-force effects, in one of these schemes:
 
 - Two effects, one for each axis, with signed magnitudes. If the force along one axis does not change, the report of its
   effect is not sent, unless the directions are not exactly along the axes (`pid_reports.force_factors`).
-- One effect, for which magnitude and direction are sent. It is used if magnitudes have no sign, or if the device has
-  room for one effect only.
+- One effect, for which magnitude and direction are sent: if magnitudes have no sign, or the device has room for one
+  effect only.
 
 Effects have a finite duration and are renewed in time, so that a daemon that is stopped or killed leaves no force. A
 direction is where a force comes from, clockwise from "north", which is away from the user, as in the specification and
@@ -49,9 +49,9 @@ from hapticd.hid.plan import (
     AxisPlan,
     DeviceError,
     Message,
-    Numbers,
     Periodic,
     PeriodicBlock,
+    PeriodicScales,
     Plan,
     PlayingBits,
     StateBit,
@@ -171,14 +171,14 @@ def plan_of(layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int]) ->
         effects=watched,
         states=_state_bits(layout),
         renew_s=renew_s,
-        foreign_s=renew_s if renew_s <= MAX_RENEW_WITHOUT_RESTORE_S else 0.0,
+        foreign_effect_s=renew_s if renew_s <= MAX_RENEW_WITHOUT_RESTORE_S else 0.0,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
         leak=_leak_of(layout) if scheme == "polar" else 0.0,
     )
 
 
 def _force_factors(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
-    """Return the two factors by which each effect's magnitude follows from the force along its and the other axis."""
+    """Return the two factors of each effect's magnitude: of the force along its axis, and of that along the other."""
     set_effect = layout.set_effect
     assert set_effect is not None
     angle = angle_of(set_effect)
@@ -203,7 +203,7 @@ def _leak_of(layout: Layout) -> float:
 def _restore_messages(
     layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int], renew_s: float
 ) -> Iterator[Message]:
-    """Yield the messages that restore effects that another program changed, unless renewals send them often enough."""
+    """Yield the messages that restore effects after a change by another program, unless renewals suffice for that."""
     effects = effects_of(scheme, hid)
     for effect, index, factors in zip(effects, indices, _force_factors(layout, effects), strict=True):
         if scheme != "polar":
@@ -293,7 +293,7 @@ def periodic_of(layout: Layout, hid: Hid, indices: Sequence[int]) -> Periodic:
     """Return the reports of the periodic effects with these indices; `periodic_problem` must have returned None."""
     effect, periodic, envelope = layout.set_effect, layout.set_periodic, layout.set_envelope
     assert effect is not None and periodic is not None and envelope is not None
-    numbers = Numbers(
+    scales = PeriodicScales(
         duration=time_scale(effect.duration),
         attack_time=time_scale(envelope.attack_time),
         fade_time=time_scale(envelope.fade_time),
@@ -302,7 +302,7 @@ def periodic_of(layout: Layout, hid: Hid, indices: Sequence[int]) -> Periodic:
         attack_level=level_scale(envelope.attack_level, hid),
         fade_level=level_scale(envelope.fade_level, hid),
     )
-    return Periodic(numbers, tuple(_periodic_block(layout, hid, index) for index in indices))
+    return Periodic(scales, tuple(_periodic_block(layout, hid, index) for index in indices))
 
 
 def _periodic_block(layout: Layout, hid: Hid, index: int) -> PeriodicBlock:

@@ -37,10 +37,10 @@ def has_one_axis(layout: Layout, hid: Hid) -> bool:
 
 
 def enabled_for(effect: SetEffect, axes: HandleAxes, axis: Literal["x", "y"]) -> str:
-    """Return the axis to enable for a force along the device's first (x) or second axis (y).
+    """Return the axis in Axes Enable for a force along the device's first (x) or second axis (y).
 
-    The two axes are X and Y if the device has both, else those of the handle, else the device's axes in their order.
-    On a device with one axis, the result is that axis.
+    The two axes are X and Y if the device has both, else those of the handle (`axes`), else the axes in the order of
+    the report. A device with one axis always gets that axis.
     """
     known = effect.axes_enable
     handle = (axes.x.usage.lower(), axes.y.usage.lower())
@@ -49,7 +49,7 @@ def enabled_for(effect: SetEffect, axes: HandleAxes, axis: Literal["x", "y"]) ->
 
 
 def counts_of(angle: Field, turns: float) -> float:
-    """Return the counts of a direction given in turns, from the field's minimum to less than one turn above it."""
+    """Return the counts of a direction in turns, from the field's minimum to less than one turn above the minimum."""
     per_turn = angle.counts_per_turn()
     if per_turn <= 0.0:
         return angle.logical_min
@@ -87,7 +87,7 @@ def force_factors(angle: Field, x_turns: float, y_turns: float) -> list[tuple[fl
 
 
 def leak_share(angle: Field) -> float:
-    """Return the largest fraction of a force that acts at right angles to it, if its direction is half a count off."""
+    """Return the fraction of a force that acts at right angles to the force, if its direction is half a count off."""
     per_turn = angle.counts_per_turn()
     return math.sin(math.pi / per_turn) if per_turn > 2.0 else 1.0
 
@@ -135,7 +135,7 @@ class ReportWriter:
             bits_of(field).put(self.data, (field.counts_when_on() or 0) if is_on else 0)
 
     def fill(self, field: Field | None) -> None:
-        """Write all ones, which mean "none" or "infinite"; does nothing without a field."""
+        """Write a one into every bit, which means "none" or "infinite"; does nothing without a field."""
         if field is not None:
             Bits(field.bit_offset, field.bit_size, False).put(self.data, (1 << field.bit_size) - 1)
 
@@ -264,7 +264,7 @@ def constant_force_report(
 ) -> Message:
     """Return the report Set Constant Force for an effect; if `effect` is None, for a force of zero.
 
-    Its magnitude is computed with the two `factors` as `force_factors` describes.
+    The two `factors`, described at `force_factors`, determine the magnitude.
     """
     force = layout.constant_force
     assert force is not None
@@ -275,9 +275,9 @@ def constant_force_report(
     if effect is None or hid is None:
         return Message(bytes(report.data))
     scale = level_scale(field, hid)
-    least = max(field.logical_min, -field.logical_max) if field.is_signed else scale.zero_counts
+    low = max(field.logical_min, -field.logical_max) if field.is_signed else scale.zero_counts
     along, other = (effect.sign * scale.counts_per_unit * factor for factor in factors)
-    value = Value(scale.bits, effect.quantity, along, scale.zero_counts, least, field.logical_max, other)
+    value = Value(scale.bits, effect.quantity, along, scale.zero_counts, low, field.logical_max, other)
     return Message(bytes(report.data), (value,))
 
 
@@ -309,7 +309,7 @@ def envelope_report(fields: SetEnvelope, index: int) -> bytes:
 
 
 def shared_report_problem(layout: Layout, *, with_periodic: bool = False) -> str | None:
-    """Return an error if output reports share an id, so that sending one sets the others to zero; else None.
+    """Return the error text if output reports share an id, so that sending one sets the others to zero; else None.
 
     `with_periodic` includes the report Set Periodic.
     """
@@ -350,5 +350,5 @@ def level_scale(field: Field, hid: Hid) -> Scale:
 
 
 def bits_of(field: Field) -> Bits:
-    """Return where a field is in its report: its offset, its size, and whether it is signed."""
+    """Return the place of a field in its report: its offset, its size, and whether it is signed."""
     return Bits(field.bit_offset, field.bit_size, field.is_signed)

@@ -10,7 +10,7 @@ from hapticd.hid.plan import STILL_AXIS_M_PER_COUNT, AxisPlan, Bits, DeviceError
 
 
 class VendorDriver:
-    """Driver that sends the configured reports that enable a device, and makes the plan of its reports."""
+    """Driver of a device with vendor reports: sends the configured reports that enable it, and makes the plan."""
 
     def __init__(self, hid: Hid, descriptor: bytes) -> None:
         """Create a driver, and compare the configuration with the device's report descriptor.
@@ -47,7 +47,7 @@ def plan_of(hid: Hid, report: VendorReport) -> Plan:
     into, out = report.input, report.output
     data = bytes([out.report_id]) + bytes(out.length)
     values = [
-        Value(bits, quantity, axis.counts_per_n, axis.zero_counts, bits.least, bits.most)
+        Value(bits, quantity, axis.counts_per_n, axis.zero_counts, bits.min_counts, bits.max_counts)
         for axis, quantity in ((out.x, HidQuantity.X), (out.y, HidQuantity.Y))
         if axis is not None
         for bits in [_bits(axis)]

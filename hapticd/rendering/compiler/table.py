@@ -20,7 +20,7 @@ from typing import Any, Final, TypeAlias, TypeGuard, assert_never
 
 import numpy as np
 
-from hapticd.base.core import OBJECT_DTYPE, PASSIVITY_AGE_MAX, CData, PassivityMode, Shape, ffi, pointer
+from hapticd.base.core import MAX_AGE_PERIODS, OBJECT_DTYPE, CData, PassivityMode, Shape, ffi, pointer
 from hapticd.base.steps import Steps
 from hapticd.config.materials import Material
 from hapticd.config.scene import SURFACE_KINDS, Scene, SceneObject, Surface
@@ -143,7 +143,7 @@ class Compiler:
         self._table.max_force_n = output.max_force_n
         self._table.max_speed_m_per_s = output.max_speed_m_per_s
         self._table.rearm_m = output.rearm_m
-        self._table.report_age = min(math.ceil(output.age_s * output.rate_hz - _PERIOD_TOLERANCE), PASSIVITY_AGE_MAX)
+        self._table.report_age = min(math.ceil(output.age_s * output.rate_hz - _PERIOD_TOLERANCE), MAX_AGE_PERIODS)
         known = output.dynamics
         mass_kg = output.effective_mass_kg if known is None else known.handle_mass_kg
         self._table.brake_n_s_per_m = MAX_BRAKED_MOMENTUM_PART * mass_kg * output.rate_hz
