@@ -292,7 +292,7 @@ def load_config(source: ConfigSource) -> Config:
     """Load and validate a configuration, and add the shipped materials.
 
     `source` is a mapping (which may hold numpy scalars, arrays and tuples), a path, or paths that are merged in
-    order: a later file overrides key by key, but replaces materials and scene objects completely. Missing keys get
+    order: a later file overrides key by key, but replaces a material or a scene object completely. Missing keys get
     their defaults. A material of the source replaces a shipped one of the same name. A Config is returned unchanged.
 
     Raises InvalidError, which names every faulty key with file, line and limit, or else every unknown material, and
@@ -339,7 +339,7 @@ def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
 def chosen_config(chosen: ConfigFiles) -> Config:
     """Load the chosen configuration files as load_config does; without files return the built-in configuration.
 
-    A shipped scene may be given by its name. Raises HapticdError also if the environment names a missing file.
+    A shipped scene may be given by its name. Raises HapticdError also if $HAPTICD_CONFIG names a missing file.
     """
     check_named(chosen)
     files = [file_of(file, "scenes") for file in chosen.files]
@@ -347,7 +347,7 @@ def chosen_config(chosen: ConfigFiles) -> Config:
 
 
 def config_of_documents(documents: Sequence[Document]) -> Config:
-    """Merge documents to a configuration and validate it, as load_config does for files."""
+    """Merge documents into a configuration, validate it, and add the shipped materials, as load_config does."""
     merged = Merged()
     for given in documents:
         document = _as_configuration(given)
@@ -380,7 +380,7 @@ class Merged:
         self._owners: dict[Path, Document] = {}
 
     def add(self, document: Document, data: dict[str, Json]) -> None:
-        """Merge another document: its values replace earlier ones key by key, but materials and objects completely."""
+        """Merge a document. It overrides earlier ones key by key, but replaces a material or an object completely."""
         self._add(document, data, self.data, ())
 
     def _add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:

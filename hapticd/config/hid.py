@@ -8,7 +8,7 @@ from hapticd.base.errors import shown
 from hapticd.base.model import Model
 
 Usage: TypeAlias = Literal["X", "Y", "Z", "Rx", "Ry", "Rz"]
-"""Usage of an axis, of HID's page Generic Desktop."""
+"""Name of an axis in HID's usage page Generic Desktop."""
 Sign: TypeAlias = Literal[1, -1]
 Quirk: TypeAlias = Literal[
     "infinite_duration",
@@ -21,9 +21,9 @@ Quirk: TypeAlias = Literal[
 ]
 ReportId: TypeAlias = Annotated[int, Field(ge=0, le=255)]
 MAX_REPORT_BYTES = 255
-"""Maximum size of a report, without its id."""
+"""Maximum size of a HID report in bytes, without its id."""
 MAX_REPORTS = 24
-"""Maximum number of reports in the key `disable`, which switch the device off."""
+"""Maximum number of HID reports in the key `disable`, which switches the device off."""
 
 
 def _hex(text: str) -> str:

@@ -30,7 +30,7 @@ class ConfigFiles:
     origin: Origin
     files: tuple[str, ...]
     missing: tuple[str, ...]
-    """Files earlier in the search order, which do not exist."""
+    """Files that come earlier in the search order, but do not exist."""
 
     def __str__(self) -> str:
         named = ", ".join(printable(os.path.abspath(file)) for file in self.files)

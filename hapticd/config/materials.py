@@ -383,7 +383,7 @@ class Material(Model):
         return next(iter(self.groove_modes), None)
 
     def groove_mode_at(self, speed_m_per_s: float, force_n: float) -> Mode | None:
-        """Return the ringing mode of a groove that is crossed at this tangential speed and normal force, if any."""
+        """Return the mode of a groove at this tangential speed and normal force, or None if no groove rings."""
         mode = self.groove_mode
         if mode is None or not isinstance(self.texture, Grooves) or self.texture.frequency_table is None:
             return mode
@@ -399,12 +399,12 @@ Materials: TypeAlias = Mapping[str, Material]
 
 
 def validate_materials(data: object, root: Path = ()) -> dict[str, Material]:
-    """Validate materials by name, given as plain data. Raises InvalidError; `where` starts with `root`, `materials`."""
+    """Validate materials by name, given as plain data. Raises InvalidError with paths that begin with `root`."""
     return finish(material_steps(data, root))
 
 
 def material_steps(data: object, root: Path = ()) -> Steps[dict[str, Material]]:
-    """Validate materials as validate_materials does, with a pause after each: large textures take tens of ms."""
+    """Validate materials as validate_materials does, and pause after each: a large texture takes tens of ms."""
     if not isinstance(data, dict):
         return _parsed(data, root)
     check_count(data, MAX_MATERIALS, (*root, "materials"))
@@ -421,9 +421,9 @@ def _parsed(data: object, root: Path) -> dict[str, Material]:
 
 @cache
 def shipped_materials() -> Materials:
-    """Load the shipped library, every file of `config/materials`, the paper's materials first.
+    """Load the shipped library: all files of `config/materials`, those of Okamura et al. first.
 
-    Raises InvalidError for a fault, and for a material that two files define.
+    Raises InvalidError for a fault in a file, and for a material that two files define.
     """
     library: dict[str, Material] = {}
     for name in library_files():

@@ -171,8 +171,8 @@ def rising_faults(key: str, points: Sequence[float]) -> Iterator[str]:
     """Yield the fault of the first point less than MIN_TABLE_STEP above its predecessor; `key` names the list."""
     for index, (before, point) in enumerate(pairwise(points)):
         if point < before + MIN_TABLE_STEP:
-            least = f"{MIN_TABLE_STEP:g} above the one before, {before:.15g}"
-            yield f"{key}[{index + 1}] must be at least {least}, is {point:.15g}"
+            limit = f"{MIN_TABLE_STEP:g} above the one before, {before:.15g}"
+            yield f"{key}[{index + 1}] must be at least {limit}, is {point:.15g}"
             return
 
 

@@ -140,10 +140,10 @@ class Wall(Model):
         description="Width of the blend between two materials, centred on the edge between them.",
     )
 
-    def stretches(self) -> tuple[list[float], list[str]]:
-        """Return the start coordinates and the materials of all sections of the wall, in rising order.
+    def sections(self) -> tuple[list[float], list[str]]:
+        """Return the start coordinates in m and the materials of all sections of the wall, in rising order.
 
-        Sections are the patches and the base material between them. The first begins at -inf, the last has no end.
+        Sections are the patches and the base material between them. The first starts at -inf, the last has no end.
         """
         begins, materials = [-math.inf], [self.material]
         for index in patches_in_order(self.patches):
@@ -327,8 +327,8 @@ class Scene(Model):
     def with_objects(self, changes: Mapping[str, SceneObject | None]) -> "Scene":
         """Return this scene with objects added or replaced, and those given as None removed.
 
-        The objects must be validated (see validate_object); unchanged objects are shared.
-        Raises InvalidError for more than MAX_OBJECTS objects, or MAX_SCENE_PATCHES patches.
+        The objects must be validated (see validate_object); unchanged objects are shared. Raises InvalidError for more
+        than MAX_OBJECTS objects or MAX_SCENE_PATCHES patches.
         """
         objects = dict(self.objects)
         for name, changed in changes.items():
@@ -384,7 +384,7 @@ def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[S
 
 
 def validate_scene(data: object, root: Path = ()) -> Scene:
-    """Validate a scene, given as plain data. Raises InvalidError; `where` begins with `root`."""
+    """Validate a scene, given as plain data. Raises InvalidError with paths that begin with `root`."""
     return finish(scene_steps(data, root))
 
 
@@ -420,7 +420,7 @@ def _parsed(data: object, root: Path) -> Scene:
 
 
 def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
-    """Validate an object, given as plain data. Raises InvalidError; `where` starts with `root`, `objects`, `name`."""
+    """Validate an object, given as plain data. Raises InvalidError with paths that begin with `root`."""
     return _parsed({"objects": {name: data}}, root).objects[name]
 
 
@@ -447,5 +447,5 @@ def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[s
 def reference_problems(
     objects: Mapping[str, SceneObject], materials: Collection[str], root: Path = ()
 ) -> list[Problem]:
-    """Return the faults of objects with unknown materials as problems; `where` begins with `root`, then `objects`."""
+    """Return a problem for each unknown material of an object; its path begins with `root`, then `objects`."""
     return [Problem(path_text(root + path), text) for path, text in reference_faults(objects, materials)]

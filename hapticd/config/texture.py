@@ -65,7 +65,7 @@ _KEYS_OF: Final[dict[Display, tuple[str, ...]]] = {
 
 
 def _displayed(display: Display) -> JsonDict:
-    """Return the JSON Schema of a display: it requires its keys, and forbids those of other displays."""
+    """Return the JSON Schema rule of a display: its keys are required, those of other displays are forbidden."""
     others = (key for other, keys in _KEYS_OF.items() if other != display for key in keys)
     rules: list[JsonValue] = [absent(*others)]
     if display == "vibration":
@@ -290,7 +290,7 @@ class AutoregressiveModel(CheckedTogether):
     )
 
     def level(self, reflection: Sequence[float]) -> float:
-        """Return the RMS of the noise x in m/s^2: that given, or sqrt(variance / prod(1 - k^2)), k in `reflection`."""
+        """Return the RMS of x in m/s^2: as given, or sqrt(variance / prod(1 - k^2)) for reflection coefficients k."""
         if self.rms_m_per_s2 is not None:
             return self.rms_m_per_s2
         assert self.variance_m2_per_s4 is not None

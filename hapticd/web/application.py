@@ -25,7 +25,7 @@ from hapticd.web.telemetry_hub import TelemetryHub
 STATIC_FOLDER: Final = Path(__file__).parent / "static"
 """Folder of the page's HTML, scripts and styles."""
 MAX_OPEN_PAGES: Final = 32
-"""Pages that may be open at a time. docs/web.md states it."""
+"""Maximum number of open pages; docs/web.md states it."""
 _PING_INTERVAL_S: Final = 2.0 * PAGE_READ_TIMEOUT_S
 """Time from the last message of a page to a ping; aiohttp waits half of it for the pong."""
 _CLOSE_TIMEOUT_S: Final = 5.0
@@ -40,7 +40,7 @@ WEB_PAGE_METHODS: Final[dict[str, Method]] = {
 }
 """Methods of this process that a page may call, by name, without those of recordings.
 
-Each group is a table in a separate file, added here.
+Each group of methods is a table in a separate file.
 """
 
 _log = logging.getLogger("hapticd.web")

@@ -16,7 +16,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
 MAX_BROWSER_CONNECTIONS: Final = 128
-"""Most connections of all browsers together. docs/web.md states it."""
+"""Maximum number of connections of all browsers together; docs/web.md states it."""
 REQUEST_TIMEOUT_S: Final = 30.0
 """Time from the connection, or from the last response, until the headers of the next request must be complete."""
 RESPONSE_TIMEOUT_S: Final = 30.0
@@ -28,12 +28,12 @@ _DEADLINE_EXTENDER: Final[ContextVar[Callable[[], None]]] = ContextVar("deadline
 
 
 def extend_deadline() -> None:
-    """Give the current request another RESPONSE_TIMEOUT_S. A handler calls it after each block of a file."""
+    """Give the current request another RESPONSE_TIMEOUT_S; handlers call this function after each block of a file."""
     _DEADLINE_EXTENDER.get()()
 
 
 class Connections:
-    """The browser connections of one server. For the event loop."""
+    """The browser connections of one server. Only the event loop may use them."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class Connections:
         return lambda: _Connection(cast(asyncio.Protocol, server()), self)
 
     def opened(self, connection: _Connection) -> bool:
-        """Add a new connection, and return False if there are already as many as allowed."""
+        """Add a new connection and return True; if the maximum number is open, return False."""
         if len(self._open) >= self._most:
             self.refused += 1
             return False
@@ -84,7 +84,7 @@ class Connections:
             self.sweep()
 
     def middleware(self) -> Middleware:
-        """Return the middleware that limits the time of each response. It must be the first middleware."""
+        """Return the middleware that limits the time of each response; it must come before all other middlewares."""
 
         @web.middleware
         async def timed(request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -118,7 +118,7 @@ class _Connection(asyncio.Protocol):
         self._inner, self._connections = inner, connections
         self._transport: asyncio.Transport | None = None
         self._taken = False
-        # Callbacks for each piece of data are those of aiohttp, without a detour.
+        # The callbacks for data are aiohttp's own, which saves a call for each piece of data.
         self.data_received = inner.data_received  # type: ignore[method-assign]
         self.pause_writing = inner.pause_writing  # type: ignore[method-assign]
         self.resume_writing = inner.resume_writing  # type: ignore[method-assign]

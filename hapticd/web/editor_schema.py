@@ -80,7 +80,7 @@ def _referred(tree: Json) -> Iterator[str]:
 
 
 def _simple(tree: Json) -> Json:
-    """Return a JSON Schema with units as members, and without null, defaults of null and combinations."""
+    """Return a JSON Schema with units as members, without null values, null defaults and rules on combinations."""
     if isinstance(tree, list):
         return [_simple(value) for value in tree]
     if not isinstance(tree, dict):

@@ -1,4 +1,4 @@
-"""Checks of the Host and the Origin of requests.
+"""Checks of the headers Host and Origin of requests.
 
 Another site may let its name resolve to this machine (DNS rebinding). Requests of its pages have that name as Host and
 are refused. Names and addresses are compared as texts; browsers write each address in one way.

@@ -1,7 +1,7 @@
 """The queue of messages to a page: answers, news and telemetry.
 
-Answers and news are sent first and in their order; a page that reads too few of them is closed. Telemetry is sent after
-them; beyond a limit its oldest messages are dropped.
+Answers and news are sent first and in order; a page that reads them too slowly is closed. Telemetry is sent after them;
+beyond a limit its oldest messages are dropped.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class OutboxFullError(Exception):
 
 
 class _Waiting:
-    """A message of telemetry that waits to be sent; `message` is empty once it was dropped."""
+    """A message of telemetry that waits to be sent; after it was dropped, `message` is empty."""
 
     __slots__ = ("message", "topic")
 
@@ -35,7 +35,7 @@ class _Waiting:
 
 
 class Outbox:
-    """The queue of messages to one page. For the event loop."""
+    """The queue of messages to one page. Only the event loop may use it."""
 
     def __init__(self) -> None:
         """Make an empty queue."""

@@ -1,4 +1,4 @@
-"""The methods of the daemon that a page may call. All others are refused, also those that the daemon gets later."""
+"""The methods of the daemon that a page may call. All others are refused, also methods that are added later."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 There is at most one recording. It continues if the page that began it is closed or loses the network; every page shows
 the recording and can stop it. It ends when it is stopped, after its duration, when the daemon ends, when the disk is
-full and when `hapticd web` ends; the file has everything until then.
+full and when `hapticd web` ends; the file contains all samples until then.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class _ActiveRecording:
 
 
 class WebRecorder:
-    """Begins and ends recordings. For the event loop."""
+    """Begins and ends recordings. Only the event loop may use it."""
 
     def __init__(self, connect: Callable[[], AbstractContextManager[Daemon]], folder: RecordingFolder) -> None:
-        """Record into `folder`. `connect` makes a client that only the thread uses."""
+        """Record into `folder`. `connect` returns a new client, which only the recording's thread uses."""
         self._connect, self._folder = connect, folder
         self._active: _ActiveRecording | None = None
         self._last: dict[str, Json] | None = None
@@ -75,8 +75,8 @@ class WebRecorder:
     def state(self) -> dict[str, Json]:
         """Return the state of recordings.
 
-        `recording`: whether one is under way; then also its `name`, `recorded_s`, `ticks`, `bytes` and `for_s`. `last`:
-        the summary of the last one, or its `name` and `error`. `free_bytes`: free disk space.
+        `recording`: whether a recording is under way; if so, also its `name`, `recorded_s`, `ticks`, `bytes`, `for_s`.
+        `last`: the summary of the last recording, or its `name` and `error`. `free_bytes`: free disk space.
         """
         state: dict[str, Json] = {
             "recording": self._active is not None,
@@ -157,7 +157,7 @@ class WebRecorder:
     def _run(
         self, loop: asyncio.AbstractEventLoop, active: _ActiveRecording, target: Path, notes: Mapping[str, Json]
     ) -> None:
-        """Record until the recording is stopped or ends. For the recording's thread."""
+        """Record until the recording is stopped or ends; runs in the recording's thread."""
 
         def opened(writer: RecordingWriter) -> None:
             active.writer = writer

@@ -23,7 +23,7 @@ MAX_RECORDING_NAME_CHARACTERS: Final = 64
 _STEM_PATTERN: Final = re.compile(r"[^\W_][\w .+-]*")
 """Name of a recording without its ending."""
 _MAX_LISTED_RECORDINGS: Final = 1000
-"""Most recordings in a list; older ones are left out."""
+"""Maximum number of recordings in a list; older ones are left out."""
 
 
 def default_folder(environ: Mapping[str, str] | None = None) -> Path:
@@ -42,7 +42,7 @@ def default_folder(environ: Mapping[str, str] | None = None) -> Path:
 
 
 def checked_name(name: object) -> str:
-    """Return the name of a recording with its ending, as `tap 3.npz`. Raises HapticdError if it is not valid."""
+    """Return the name of a recording, such as `tap 3.npz`. Raises HapticdError if the name is not valid."""
     if not isinstance(name, str):
         raise HapticdError("name: must be a text")
     stem, ending = os.path.splitext(name)

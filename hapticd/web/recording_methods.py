@@ -31,7 +31,7 @@ class Recordings:
     """The recordings of this process, and the methods of pages for them."""
 
     def __init__(self, folder: Path, connect: Callable[[], AbstractContextManager[Daemon]]) -> None:
-        """Record into `folder`. `connect` makes a client for each recording."""
+        """Record into `folder`. `connect` returns a new client for each recording."""
         self._folder = RecordingFolder(folder)
         self._recorder = WebRecorder(connect, self._folder)
         self._uploads = Uploads()

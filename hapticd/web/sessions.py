@@ -8,13 +8,13 @@ from collections import OrderedDict
 from typing import Final
 
 MAX_SESSIONS: Final = 64
-"""Most sessions at a time; beyond this number the one that was used longest ago ends."""
+"""Maximum number of sessions; the session that was used longest ago ends first."""
 MAX_TOKENS: Final = 16
-"""Most unused tokens; beyond this number the oldest becomes invalid."""
+"""Maximum number of unused tokens; the oldest becomes invalid first."""
 
 
 class Sessions:
-    """The tokens and sessions of this process, which end with it."""
+    """The tokens and sessions of this process; all become invalid when it ends."""
 
     def __init__(self) -> None:
         """Begin without tokens and sessions."""
@@ -46,7 +46,7 @@ class Sessions:
 
 
 def _added(known: OrderedDict[str, None], most: int) -> str:
-    """Add a new secret to `known`, remove the oldest beyond `most`, and return the new one."""
+    """Add a new secret to `known`, remove the oldest secrets beyond `most`, and return the new secret."""
     made = secrets.token_urlsafe(32)
     known[made] = None
     while len(known) > most:

@@ -41,7 +41,7 @@ class Opened:
     document: Document
     change: ChangeFiles
     left_out: tuple[str, ...]
-    """Sections that only matter at the start of a daemon and were not applied."""
+    """Sections of the file that need a restart of the daemon, and were not applied."""
 
     @property
     def materials(self) -> _Map:
@@ -55,7 +55,7 @@ class Opened:
 
 
 def read(name: object, text: object) -> Opened:
-    """Read and check the text of a file; errors call it `name`.
+    """Read and check the text of a file; `name` is its name in errors.
 
     Raises InvalidError with the line and key of every problem, also of problems in other sections of a configuration.
     """
@@ -118,9 +118,9 @@ def saved(
     """Return the daemon's scene and materials as a file that `hapticd check -c`, `run -c` and `apply` read.
 
     Only materials that differ from the shipped ones are written, without members that have their default. `opened` with
-    its `text`: the file to change; only values that differ are replaced in it. `others`: materials that the daemon had
-    when the file was opened and that the file does not have; they are added only if they have changed since, or if the
-    scene names them. Raises HapticdError if there is nothing to save.
+    its `text` is the file to change; only values that differ are replaced. `others` are the daemon's materials that the
+    file lacked when it was opened. They are added only if they have changed since then, or if the scene names them.
+    Raises HapticdError if there is nothing to save.
     """
     found = validate_scene(dict(scene))
     written: _Map

@@ -40,7 +40,7 @@ async def _shipped(_: Page, params: Mapping[str, object]) -> object:
 
 
 async def _open(page: Page, params: Mapping[str, object]) -> object:
-    """Answer web.yaml_open: check the `text` of the file `name`; put its scene and materials in force together."""
+    """Answer web.yaml_open: check the `text` of the file `name`, and apply its scene and materials in one change."""
     return await _apply(page, params.get("name"), params.get("text"))
 
 
@@ -60,7 +60,7 @@ async def _open_shipped(page: Page, params: Mapping[str, object]) -> object:
 
 
 async def _apply(page: Page, name: object, text: object) -> dict[str, object]:
-    """Put the scene and materials of a YAML text in force. An error lists the text's problems by line and key."""
+    """Apply the scene and materials of a YAML text. An error lists the problems of the text by line and key."""
     given = str(name)
     try:
         opened = await asyncio.to_thread(_read, name, text)

@@ -74,7 +74,7 @@ async def served(
         try:
             async with serving(at, sessions, Site(STATIC_FOLDER / "index.html", pages.add_routes), held) as guard:
                 if there:
-                    await hub.found(PATIENCE_S)
+                    await hub.await_daemon(PATIENCE_S)
                 site = WebSite(at.url, sessions, pages, held, guard)
                 site.daemon = daemon
                 yield site

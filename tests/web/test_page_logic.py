@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 
 # Batches as the daemon sends them, made of a description: [name, format, value(tick, component)].
 MAKE = """
-  const { SampleStore, MOST_ROWS } = await import("/static/samples.js");
+  const { SampleStore, MAX_ROWS } = await import("/static/samples.js");
   const WIDTHS = { f8: 8, f4: 4, i8: 8, u8: 8, i4: 4, u4: 4, u2: 2 };
   const SETTERS = { f8: "setFloat64", f4: "setFloat32", i8: "setBigInt64", u8: "setBigUint64", i4: "setInt32",
                     u4: "setUint32", u2: "setUint16" };
@@ -146,7 +146,7 @@ def test_a_minute_at_10_khz_takes_less_than_60_mb(page: Page) -> None:
         const arrays = [store.ticks, ...Object.values(store.columns)];
         const bytes = arrays.reduce((sum, { byteLength }) => sum + byteLength, 0);
         store.setRate(100000);
-        return [bytes, store.capacity === MOST_ROWS];"""
+        return [bytes, store.capacity === MAX_ROWS];"""
     size, bounded = logic(page, script)
     assert 600_000 * 60 < size < 60e6 and bounded
 

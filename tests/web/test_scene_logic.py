@@ -191,7 +191,7 @@ def test_grooves_lie_at_multiples_of_their_spacing(page: Page) -> None:
     assert call(page, "textures", "grooveNumbers", 0.01, 0.011, 0.019) == [2, 1]
 
 
-def test_patches_and_what_lies_between_are_stretches(page: Page) -> None:
+def test_patches_and_what_lies_between_are_sections(page: Page) -> None:
     wall = {
         **WALL,
         "material": "wood",
@@ -200,7 +200,7 @@ def test_patches_and_what_lies_between_are_stretches(page: Page) -> None:
             {"from_m": -0.05, "to_m": -0.02, "material": "grit"},
         ],
     }
-    assert call(page, "shapes", "stretches", wall, -0.03, 0.03) == [
+    assert call(page, "shapes", "sections", wall, -0.03, 0.03) == [
         [-0.03, -0.02, "grit"],
         [-0.02, 0.01, "wood"],
         [0.01, 0.02, "comb"],

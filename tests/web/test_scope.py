@@ -251,11 +251,11 @@ def test_the_spectrum_of_a_tap_and_the_lateness_are_said(scope: Page) -> None:
     tap(scope, "steel")  # which shows the traces
     scope.locator("#scope").get_by_role("button", name="Spectrum").click()
     scope.wait_for_function("() => hapticd.scope.spectrum.result !== null")
-    assert "resolution" in scope.locator(".scope-said").inner_text()
+    assert "resolution" in scope.locator(".scope-message").inner_text()
     assert scope.evaluate("() => hapticd.scope.spectrum.result.peakHz") == pytest.approx(1682, rel=0.1)
     scope.locator("#scope").get_by_role("button", name="Lateness").click()
-    scope.wait_for_function("() => document.querySelector('.scope-said').textContent.includes('p99')")
-    assert "since the daemon started" in scope.locator(".scope-said").inner_text()
+    scope.wait_for_function("() => document.querySelector('.scope-message').textContent.includes('p99')")
+    assert "since the daemon started" in scope.locator(".scope-message").inner_text()
 
 
 ROWS = """() => {

@@ -141,15 +141,15 @@ export class Model extends EventTarget {
     }
     this.revision = change.revision;
     const merge = (target, changes) => {
-      const whole = { ...target };
+      const result = { ...target };
       for (const [name, value] of Object.entries(changes)) {
         if (value === null) {
-          delete whole[name];
+          delete result[name];
         } else {
-          whole[name] = value;
+          result[name] = value;
         }
       }
-      return whole;
+      return result;
     };
     if (change.materials) {
       this.materials = merge(this.materials, change.materials);

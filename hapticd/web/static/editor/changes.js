@@ -47,7 +47,7 @@ export class Changes extends EventTarget {
   }
 
   // Sends a merge patch of `materials` or `objects`, both by name, or of `scene` (display, ramp_s, passivity). Resolves when
-  // it, or a newer one that superseded it, is in force; rejects with Refused.
+  // the patch, or a newer one that supersedes it, is in force; rejects with Refused.
   send(target, patch) {
     return new Promise((resolve, reject) => {
       this.#waiting.push({ target, patch, resolve, reject });
