@@ -62,7 +62,7 @@ def test_every_control_is_reached_by_the_keyboard(page: Page) -> None:
         assert page.evaluate(UNREACHED) == []
 
 
-def test_faults_and_states_are_told_to_screen_readers(page: Page) -> None:
+def test_faults_and_states_are_announced_to_screen_readers(page: Page) -> None:
     page.evaluate("() => hapticd.safety.dispatchEvent(new Event('change'))")
     assert page.locator("#forces-state").get_attribute("role") == "status"
     assert page.locator("#notices").get_attribute("aria-live") == "polite"

@@ -41,7 +41,7 @@ async def ended(reader: asyncio.StreamReader) -> bool:
 
 
 @pytest.mark.parametrize("sent", [b"", b"G", b"GET / HTTP/1.1\r\nHost: ", b"GET / HTTP/1.1\r\nA: b\r\n"])
-def test_a_request_that_does_not_come_whole_is_let_go(sent: bytes) -> None:
+def test_an_incomplete_request_is_closed(sent: bytes) -> None:
     async def test() -> None:
         time = Time()
         async with served(connections=Connections(now=time), there=False) as site:
@@ -62,7 +62,7 @@ def test_a_request_that_does_not_come_whole_is_let_go(sent: bytes) -> None:
     asyncio.run(test())
 
 
-def test_connections_are_bounded_and_pages_stay() -> None:
+def test_connections_are_limited_and_pages_stay() -> None:
     async def test() -> None:
         held = Connections(most=5)
         async with served(connections=held, there=False) as site, tab(site) as page:
@@ -80,7 +80,7 @@ def test_connections_are_bounded_and_pages_stay() -> None:
     asyncio.run(test())
 
 
-def test_a_page_is_never_let_go_for_its_age() -> None:
+def test_a_page_is_never_closed_for_its_age() -> None:
     async def test() -> None:
         time = Time()
         async with served(connections=Connections(now=time), there=False) as site, tab(site) as page:

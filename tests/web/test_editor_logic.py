@@ -122,7 +122,7 @@ def test_numbers_are_shown_in_practical_units(run: _Run, value: float, unit: str
 
 
 @pytest.mark.parametrize("text", ["", "abc", "1,5", "0x10", "1e", "Infinity", "NaN", "--1", "1 2"])
-def test_what_is_no_number_is_not_taken_for_one(run: _Run, text: str) -> None:
+def test_other_texts_are_not_numbers(run: _Run, text: str) -> None:
     assert run(NUMBERS, "return Number.isNaN(n.parse(given, n.shownUnit('m')))", text)
 
 
@@ -338,7 +338,7 @@ def test_right_angles_are_exact(run: _Run) -> None:
         ({}, "plain", "Stability: not known yet."),
     ],
 )
-def test_the_margin_is_said_in_words(run: _Run, margins: dict[str, Any], kind: str, words: str) -> None:
+def test_the_margin_as_text(run: _Run, margins: dict[str, Any], kind: str, words: str) -> None:
     materials = {"comb": {"stiffness_n_per_m": 800.0}}
     body = "return w.stabilityOf(given[0], given[1], given[2], 'comb')"
     told = run({"w": "editor/warnings.js"}, body, [margins, SCENE, materials])

@@ -135,7 +135,7 @@ def highest_hz(frequency_hz: float, decay_time_s: float) -> float:
     return float(np.sqrt(frequency_hz**2 - (1 / (2 * np.pi * decay_time_s)) ** 2))
 
 
-def test_a_slider_changes_what_the_servo_renders_and_undo_puts_back_the_very_values(page: Page, scene: Any) -> None:
+def test_a_slider_changes_what_the_servo_renders_and_undo_restores_the_exact_values(page: Page, scene: Any) -> None:
     before = materials(scene)
     found = pick(page, "materials", "wood")
     hand = 300.0
@@ -194,7 +194,7 @@ def test_a_drag_is_one_step_and_does_not_flood(page: Page, scene: Any) -> None:
     until(page, lambda: materials(scene)["wood"]["stiffness_n_per_m"] == before)
 
 
-def test_what_nobody_touches_stays_as_it_is_to_the_bit(page: Page, scene: Any) -> None:
+def test_untouched_values_stay_identical(page: Page, scene: Any) -> None:
     before, objects = materials(scene), scene.get_scene()
     touch = """(panel) => {
       for (const control of panel.querySelectorAll('.form input, .form select, .form textarea')) {
@@ -338,7 +338,7 @@ def test_every_key_of_the_schema_has_a_control(page: Page, scene: Any) -> None:
     assert every - seen - read == {("Scene", "objects")}
 
 
-def test_the_problem_of_the_daemon_stands_at_its_field(page: Page, scene: Any) -> None:
+def test_the_problem_of_the_daemon_is_shown_at_its_field(page: Page, scene: Any) -> None:
     before = materials(scene)
     found = pick(page, "materials", "comb")
     for path, text, problem in (
@@ -505,7 +505,7 @@ def test_materials_are_copied_renamed_and_deleted(page: Page, scene: Any) -> Non
     assert [patch["material"] for patch in scene.get_scene()["scene"]["objects"]["floor"]["patches"]][1] == "sandpaper"
 
 
-def test_what_cannot_be_displayed_and_what_may_oscillate_stands_beside_the_figure(page: Page, scene: Any) -> None:
+def test_warnings_are_shown_next_to_the_figure(page: Page, scene: Any) -> None:
     found = pick(page, "materials", "wood")
     enter(number(found, "tap.frequency_hz"), "4500")
     warning = field(found, "tap.frequency_hz").locator(".warning-line")

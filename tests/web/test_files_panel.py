@@ -39,7 +39,9 @@ def give(page: Page, text: str, name: str = "table.yaml") -> None:
 
 def wait_said(page: Page, begin: str) -> str:
     """What the panel says, once it begins like this."""
-    page.wait_for_function("(begin) => document.querySelector('#files-message').textContent.startsWith(begin)", arg=begin)
+    page.wait_for_function(
+        "(begin) => document.querySelector('#files-message').textContent.startsWith(begin)", arg=begin
+    )
     return page.locator("#files-message").inner_text()
 
 

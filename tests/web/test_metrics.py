@@ -64,7 +64,7 @@ def test_without_a_daemon_there_is_one_figure(tmp_path: Path) -> None:
         assert figures(address_in(tmp_path / "web.log")) == {"hapticd_up": {"": 0}}
 
 
-def test_a_port_that_is_taken_is_one_line(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_reported_in_one_line(capfd: pytest.CaptureFixture[str]) -> None:
     with running_daemon() as daemon, socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         told = refusal(capfd, "--runtime-dir", str(daemon.directory), "web", "--port", "0", "--metrics", port)

@@ -97,7 +97,7 @@ def test_forces_that_come_on_after_the_lease_lapsed_go_off_again() -> None:
     asyncio.run(test())
 
 
-def test_a_page_that_goes_renews_nothing_and_leaves_no_force_behind() -> None:
+def test_a_closed_page_does_not_renew_its_lease() -> None:
     async def test() -> None:
         async with served() as site:
             async with tab(site) as page:
@@ -114,7 +114,7 @@ def test_a_page_that_goes_renews_nothing_and_leaves_no_force_behind() -> None:
 
 
 @pytest.mark.parametrize("params", [{"enabled": 1}, {"enabled": "true"}, {}, {"enabled": None}])
-def test_what_is_not_true_is_not_on(params: dict[str, Any]) -> None:
+def test_only_true_turns_forces_on(params: dict[str, Any]) -> None:
     """The daemon refuses it; here it is not taken for a wish to turn forces on."""
 
     async def test() -> None:

@@ -74,7 +74,7 @@ def test_samples_are_read_by_their_dtype_wherever_fields_lie_and_however_they_ar
         assert each == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_field_that_samples_do_not_have_is_no_number(page: Page) -> None:
+def test_a_field_that_samples_do_not_have_is_nan(page: Page) -> None:
     script = """
         const store = new SampleStore(1);
         store.add(batch(0, 2, TODAY.filter(([name]) => name !== "velocity_m_per_s")));
@@ -107,7 +107,7 @@ def test_the_ring_keeps_the_newest_and_grows_with_the_rate(page: Page) -> None:
     assert found == [[250, 150, 100, 150, 249], [260, 150, 1000, 200, 259, 0], 1000]
 
 
-def test_lost_samples_are_counted_and_those_of_the_daemon_apart(page: Page) -> None:
+def test_lost_samples_are_counted_and_those_of_the_daemon_separately(page: Page) -> None:
     found = logic(
         page,
         """
@@ -174,7 +174,7 @@ FAKE_LINK = """
 """
 
 
-def test_changes_are_applied_without_asking(page: Page) -> None:
+def test_changes_are_applied_without_a_request(page: Page) -> None:
     script = f"""{FAKE_LINK}
         link.tell("change", {{ revision: 2, objects: {{ a: null, b: {{ kind: "disc" }} }}, scene: {{ ramp_s: 0.1 }} }});
         link.tell("change", {{ revision: 3, materials: {{ wood: {{ stiffness_n_per_m: 5 }} }} }});
@@ -190,7 +190,7 @@ def test_changes_are_applied_without_asking(page: Page) -> None:
     ]
 
 
-def test_a_change_that_was_missed_has_everything_asked_for_once_however_many_follow(page: Page) -> None:
+def test_a_missed_change_causes_one_request_for_everything(page: Page) -> None:
     script = f"""{FAKE_LINK}
         link.revision = 40;
         for (let revision = 10; revision <= 40; revision++) link.tell("change", {{ revision, objects: {{}} }});
@@ -200,7 +200,7 @@ def test_a_change_that_was_missed_has_everything_asked_for_once_however_many_fol
     assert page.evaluate(f"async () => {{ {script} }}") == [True, 4]
 
 
-def test_a_status_of_another_daemon_has_everything_asked_for(page: Page) -> None:
+def test_a_status_of_another_daemon_causes_a_request_for_everything(page: Page) -> None:
     script = f"""{FAKE_LINK}
         link.tell("status", {{ started_ns: 1, revision: 0 }}); // of before
         const before = link.asked.length;

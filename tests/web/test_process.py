@@ -119,7 +119,7 @@ def test_it_ends_at_once_with_pages_open_that_do_not_read(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_a_daemon_that_is_restarted_is_found_again(tmp_path: Path) -> None:
+def test_a_restarted_daemon_is_found_again(tmp_path: Path) -> None:
     async def test(address: str, daemon: int, command: list[str]) -> None:
         origin = address.partition("/?")[0]
         async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
@@ -146,14 +146,14 @@ def test_a_daemon_that_is_restarted_is_found_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_without_a_daemon_it_says_so_and_waits(tmp_path: Path) -> None:
+def test_without_a_daemon_it_reports_this_and_waits(tmp_path: Path) -> None:
     with running(tmp_path, before=("--runtime-dir", str(tmp_path / "none"))) as web:
         assert asyncio.run(asked(web.address, "web.hello"))["result"]["daemon"] is False
     assert "no daemon at" in (tmp_path / "web.log").read_text()
 
 
 @pytest.mark.slow
-def test_what_cannot_start_says_why_in_one_line(
+def test_a_failed_start_is_reported_in_one_line(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     assert "--tls-key and --password-file are missing" in refusal(capfd, "web", "--host", "0.0.0.0", "--tls-cert", "x")

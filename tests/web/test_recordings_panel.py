@@ -91,7 +91,7 @@ def test_what_is_recorded_is_listed_and_its_download_is_the_recording(
     assert "contact" in [event["event"] for event in loaded.events]
 
 
-def test_a_recording_is_looked_through_moment_by_moment_and_left(panel: Locator, folder: Path) -> None:
+def test_a_recording_is_shown_moment_by_moment_and_closed(panel: Locator, folder: Path) -> None:
     page, name = panel.page, "looked through.npz"
     record(panel, "looked through")
     recording = hapticd.load(folder / name)
@@ -127,7 +127,7 @@ def test_a_recording_is_looked_through_moment_by_moment_and_left(panel: Locator,
     page.wait_for_function(f"() => hapticd.scope.source.rows > {rows}")
 
 
-def test_a_click_on_the_outline_goes_there_and_play_goes_on_to_the_end(panel: Locator, folder: Path) -> None:
+def test_a_click_on_the_outline_goes_there_and_play_continues_to_the_end(panel: Locator, folder: Path) -> None:
     page, name = panel.page, "clicked.npz"
     record(panel, "clicked")
     rows = len(hapticd.load(folder / name).samples)
@@ -169,7 +169,7 @@ def test_a_damaged_file_gets_one_line_that_names_it(panel: Locator, folder: Path
     assert line.count() == 0
 
 
-def test_a_whole_file_of_the_person_s_is_opened(panel: Locator, folder: Path, tmp_path: Path) -> None:
+def test_a_file_of_the_user_is_opened(panel: Locator, folder: Path, tmp_path: Path) -> None:
     record(panel, "sent")
     copy = tmp_path / "from elsewhere.npz"
     copy.write_bytes((folder / "sent.npz").read_bytes())

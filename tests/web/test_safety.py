@@ -191,7 +191,7 @@ def test_a_hidden_page_that_lives_keeps_the_forces(held: Page, pages: Pages) -> 
     assert held.evaluate("() => hapticd.safety.holds")
 
 
-def test_without_an_answer_the_forces_fade_and_the_stop_is_said_to_be_lost(held: Page, pages: Pages) -> None:
+def test_without_an_answer_the_forces_fade_and_the_stop_is_reported_as_lost(held: Page, pages: Pages) -> None:
     press(held)
     pages.demo.process.send_signal(signal.SIGSTOP)  # the network is gone; the daemon is another process
     try:

@@ -195,7 +195,7 @@ def test_a_drag_into_the_floor_is_held_there_with_an_arrow_and_a_trace(scene: Pa
 
 
 @undisturbed
-def test_a_hand_that_is_let_go_stays_and_sends_nothing(scene: Page) -> None:
+def test_a_released_hand_stays_and_sends_nothing(scene: Page) -> None:
     begin(scene)
     scene.mouse.move(*on_page(scene, [0.01, 0.02]))
     scene.mouse.down()
@@ -314,7 +314,7 @@ def test_a_page_that_watches_does_not_move_the_hand_of_another(scene: Page, _con
 
 
 @undisturbed
-def test_a_stop_lets_the_hand_go_while_it_drags(scene: Page, _context: Pages) -> None:
+def test_a_stop_releases_the_hand_during_a_drag(scene: Page, _context: Pages) -> None:
     begin(scene)
     drag(scene, [0.01, -0.006])
     check_held_at_the_wall(scene, -0.006)

@@ -69,7 +69,7 @@ def test_the_transform_is_to_scale_and_goes_both_ways(page: Page) -> None:
     assert back == pytest.approx([0.003, -0.004])
 
 
-def test_fit_shows_a_rectangle_whole_within_its_margins(page: Page) -> None:
+def test_fit_shows_a_complete_rectangle_within_its_margins(page: Page) -> None:
     corners = run(
         page,
         """const { Transform } = await load("transform");
@@ -323,7 +323,7 @@ def test_words_say_position_contact_and_force(page: Page) -> None:
     assert call(page, "description", "words", moment, []).endswith("touching nothing, 0.50 N")
 
 
-def test_the_line_of_figures_goes_on_while_a_screen_reader_waits(page: Page) -> None:
+def test_the_line_of_figures_is_updated_while_a_screen_reader_waits(page: Page) -> None:
     shown, spoken = run(
         page,
         """const { Description } = await load("description");

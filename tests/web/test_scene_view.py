@@ -171,7 +171,7 @@ def test_arrows_of_contact_vibration_and_sum_are_as_long_as_the_bar_says(scene: 
     assert x - RIM_PX - left["left"] == pytest.approx(4.5 * scale, abs=4)
 
 
-def test_the_limit_is_a_circle_that_turns_red_and_whole_where_the_force_is_limited(scene: Page) -> None:
+def test_the_limit_is_a_circle_that_turns_red_and_solid_when_the_force_is_limited(scene: Page) -> None:
     # In the middle, where the circle's upper half is seen whole.
     handle = scene.evaluate(
         "() => { const { transform: t } = hapticd.scene; return t.toM([t.width / 2, t.height / 2]); }"
@@ -266,7 +266,7 @@ def test_a_touched_membrane_bends_to_the_handle(scene: Page) -> None:
     assert skin() == pytest.approx(bent, abs=2)
 
 
-def test_a_membrane_that_is_pushed_too_far_is_torn_until_it_is_healed(scene: Page) -> None:
+def test_a_membrane_that_is_pushed_too_far_stays_ruptured_until_it_is_healed(scene: Page) -> None:
     rupture = shipped_materials()["cellophane"].rupture
     assert rupture is not None
     scene.evaluate(WATCH_MARKS)

@@ -208,7 +208,7 @@ def test_what_was_left_out_on_purpose_is_not_shaded_and_what_was_lost_is(modules
     assert shaded(modules, lost, 0.15, 0.1) == list(range(10))  # a window within the hole
 
 
-def test_a_slower_servo_and_a_restarted_one_are_no_gaps_for_ever(modules: Page) -> None:
+def test_a_slower_or_restarted_servo_causes_no_lasting_gaps(modules: Page) -> None:
     found = run(
         modules,
         "Store, flat from store; Source from source",
@@ -312,7 +312,7 @@ def test_a_level_is_passed_once_for_each_swing_beyond_the_hysteresis(modules: Pa
     assert falling == pytest.approx([3 + 0.12 / 0.14, 8 + 0.4 / 1.9])
 
 
-def test_single_holds_and_auto_goes_on_without_triggers(modules: Page) -> None:
+def test_single_holds_and_auto_continues_without_triggers(modules: Page) -> None:
     found = run(
         modules,
         TRIGGER,
@@ -373,7 +373,7 @@ def test_a_single_mode_is_found_exactly(modules: Page, name: str, rate_hz: float
     assert found["modes"][0]["decayPerS"] == pytest.approx(1 / tap.decay_time_s, rel=1e-8)
 
 
-def test_modes_that_ring_together_are_told_apart(modules: Page) -> None:
+def test_modes_that_ring_together_are_separated(modules: Page) -> None:
     samples = ringing(67, 0.00648, 1e4, 324) + 0.5 * ringing(400, 0.003, 1e4, 324) + 0.2 * ringing(230, 0.01, 1e4, 324)
     found = fit(modules, samples, 1e4)
     assert [mode["frequencyHz"] for mode in found["modes"]] == pytest.approx([67, 400, 230], rel=1e-6)
@@ -438,7 +438,7 @@ def test_a_first_peak_is_as_high_as_the_event_says(modules: Page) -> None:
     assert max(model(modules, tap, times=times)["values"]) == pytest.approx(0.05 * 60 * 0.5, rel=1e-6)
 
 
-def test_what_is_lowered_keeps_its_peak_and_what_is_silent_is_told(modules: Page) -> None:
+def test_a_lowered_tap_keeps_its_peak_and_a_silent_tap_is_reported(modules: Page) -> None:
     times = np.linspace(0, 0.002, 20001).tolist()
     tap = {"attack": "coefficient", "frequency_hz": 1682, "decay_time_s": 0.00032}
     lowered = [{"material": "it", "mode": "tap", "frequency_hz": 1682, "shown_hz": 400.0}]

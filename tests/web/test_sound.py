@@ -116,7 +116,7 @@ def test_the_spectrum_of_what_is_heard_has_its_peak_at_the_struck_mode(
     assert all(report["gaps"] == report["skips"] == report["nonfinite"] == 0 for report in heard["reports"])
 
 
-def test_what_is_no_number_and_what_is_too_loud_never_reaches_the_ear(page: Page) -> None:
+def test_nan_and_too_loud_values_are_never_played(page: Page) -> None:
     flat: list[float | str] = [0.0] * 2000 + [1e30, -1e30] * 1000 + [0.0] * 4000
     for place in range(4000, 6000, 7):
         flat[place] = ("nan", "inf", "-inf")[place % 3]
@@ -163,7 +163,7 @@ def test_the_buffer_is_held_where_two_clocks_differ(page: Page, ppm: int) -> Non
     assert found["correction"] * 1e6 == pytest.approx(ppm, abs=150)
 
 
-def test_a_page_that_is_held_up_makes_a_gap_that_is_counted_and_goes_on(page: Page) -> None:
+def test_a_blocked_page_causes_a_counted_gap_and_continues(page: Page) -> None:
     found = page.evaluate("""async () => {
       const { SampleBuffer } = await import("/static/sound_buffer.js");
       const buffer = new SampleBuffer(10000);

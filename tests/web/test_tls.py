@@ -253,7 +253,7 @@ def test_a_certificate_that_the_client_does_not_trust(web: Web, tmp_path: Path) 
     asyncio.run(test())
 
 
-def test_what_is_missing_is_said_in_one_line(
+def test_missing_options_are_reported_in_one_line(
     files: Files, daemon: Daemon, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     words = ("--runtime-dir", str(daemon.directory), "web", "--port", "0", "--host", "0.0.0.0")

@@ -6,9 +6,9 @@ import { fieldFrame } from "./field_frame.js";
 import { withWarnings } from "./fields.js";
 import { NOT_A_NUMBER_TEXT, format, parse, shownUnit } from "./numbers.js";
 
-// `table(value)` returns {head: [text or cell], rows: [[cell]], add, columns: buttons as [text, function], remove: {min, of}}.
-// `remove.of(row)` removes a row if the table has more than `min` rows. A cell is {name, unit, value, set} or, for a name, {name,
-// options, value, set}. Functions return the complete new value.
+// `table(value)` returns {head: [text or cell], rows: [[cell]], add, columns: buttons as [text, function],
+// remove: {min, of}}. `remove.of(row)` removes a row if the table has more than `min` rows. A cell is {name, unit, value,
+// set} or, for a name, {name, options, value, set}. All functions return the complete new value.
 export function tableField(editor, spec, table) {
   const frame = fieldFrame(editor, spec);
   frame.label.removeAttribute("for");
