@@ -72,7 +72,7 @@ def at(run: Run, time_s: float) -> int:
 
 
 def sliding(run: Run, left: float, right: float, way: int) -> npt.NDArray[np.bool_]:
-    """Return whether, by tick, `left` < x < `right` and the handle moves in direction `way` at 0.05 m/s or more."""
+    """Return, by tick, whether `left` < x < `right` and the handle moves in direction `way` at 0.05 m/s or more."""
     position, velocity = handle(run)
     inside: npt.NDArray[np.bool_] = (position[:, 0] > left) & (position[:, 0] < right) & (way * velocity[:, 0] > 0.05)
     assert inside.any()

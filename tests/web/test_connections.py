@@ -34,7 +34,7 @@ async def connected(site: WebSite) -> tuple[asyncio.StreamReader, asyncio.Stream
 
 
 async def ended(reader: asyncio.StreamReader) -> bool:
-    """Whether the other side let go."""
+    """Return whether the server closed the connection."""
     with suppress(ConnectionError):
         return await asyncio.wait_for(reader.read(), 60) == b""
     return True
@@ -105,7 +105,7 @@ def test_a_head_without_end_is_refused() -> None:
 
 
 async def all_of(page: Tab, topic: str, value: int) -> None:
-    """Reads until news says so."""
+    """Read news until a topic has this value."""
     while (await page.telemetry(topic))[topic] != value:
         pass
 

@@ -1,4 +1,4 @@
-"""A page's own connection to the daemon, where there is none yet."""
+"""The connection of a page to the daemon, before a daemon runs."""
 
 from __future__ import annotations
 

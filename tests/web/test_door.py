@@ -1,4 +1,4 @@
-"""Who is let in, asked over HTTP as browsers and others do."""
+"""Access to the page over HTTP, for browsers and other clients."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ async def ask(site: WebSite, path: str, method: str = "GET", **more: Any) -> Ans
 
 
 async def raw(site: WebSite, *lines: str) -> bytes:
-    """The first line of the answer to a request that no client library would send."""
+    """Return the first line of the answer to a request that no client library would send."""
     port = int(site.url.rpartition(":")[2])
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write("\r\n".join([*lines, "Connection: close", "", ""]).encode())
@@ -47,7 +47,7 @@ def test_the_token_of_an_address_gives_one_browser_access_once() -> None:
             assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and "Path=/" in cookie
             session = cookie.partition(";")[0]
             assert (await ask(site, "/", headers={"Cookie": session}))[0] == 200
-            # A second browser, and the same one that goes back to its address.
+            # A second browser, and the first one when it returns to its address.
             status, text, _ = await ask(site, f"/?token={token}")
             assert status == 403 and "was used before" in text and "kill -USR1" in text
             status, _, headers = await ask(site, f"/?token={token}", headers={"Cookie": session})
@@ -66,7 +66,7 @@ def test_a_page_makes_an_address_for_another_browser() -> None:
 
 
 def test_a_browser_from_another_site_continues_from_a_page_of_this_server() -> None:
-    """Browsers send a strict cookie only to who comes from the same site."""
+    """Browsers send a strict cookie only with requests from the same site."""
 
     async def test() -> None:
         async with served() as site:

@@ -1,4 +1,4 @@
-"""Where the server may listen, and what it takes for others to reach it."""
+"""Addresses at which the server may listen, and the options that other machines need to reach it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.special_files import refused as no_regular_file
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """A certificate with its key, and a password."""
+    """Return the paths of a certificate, its key and a password file."""
     folder = tmp_path_factory.mktemp("tls")
     found = {name: str(folder / name) for name in ("cert", "key", "other", "password")}
     for key, cert in (("key", "cert"), ("other", "other-cert")):
@@ -57,8 +57,8 @@ def test_an_address_that_others_reach_needs_tls_and_a_password(host: str, files:
         ((cert, None, password), "--tls-key is missing"),
         ((None, key, password), "--tls-cert is missing"),
     ):
-        told = refused(host, *given)
-        assert told.startswith(f"--host {host}: ") and told.endswith(missing)
+        problem = refused(host, *given)
+        assert problem.startswith(f"--host {host}: ") and problem.endswith(missing)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "LOCALHOST", "127.0.0.2", "::1"])

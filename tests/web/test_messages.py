@@ -1,4 +1,4 @@
-"""What goes over the WebSocket: what a page may call, how much, and what becomes of everything else."""
+"""Messages of the WebSocket: allowed calls of a page, their limits, and refused messages."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def mutated(random_: random.Random) -> bytes:
 @settings(max_examples=300)
 @given(st.randoms(use_true_random=False))
 def test_what_the_daemon_would_take_is_seen_as_the_same_call(random_: random.Random) -> None:
-    """Only method and id are looked at; no message may be one method to us and another to the daemon."""
+    """The server reads only method and id: it must read the same method as the daemon."""
     body = mutated(random_)
     try:
         request = messages.parse_request(messages.decode(body))
@@ -174,7 +174,7 @@ def test_what_the_daemon_would_take_is_seen_as_the_same_call(random_: random.Ran
 
 
 def test_a_message_with_two_methods_is_refused() -> None:
-    """The daemon refuses a key that occurs twice."""
+    """The daemon refuses a duplicate key."""
     key = msgpack.packb("method")
     body = b"\x84" + msgpack.packb("jsonrpc") + msgpack.packb("2.0") + msgpack.packb("id") + b"\x01"
     for first, second in (("reload", "get_status"), ("get_status", "reload")):
@@ -204,7 +204,7 @@ def test_ten_thousand_mutated_messages() -> None:
     asyncio.run(test())
 
 
-# ---- How much --------------------------------------------------------------------------------------------------------
+# ---- Limits ----------------------------------------------------------------------------------------------------------
 
 
 def test_calls_under_way_are_bounded_and_stop_passes() -> None:
@@ -240,7 +240,7 @@ def test_streams_a_second_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
     async def test() -> None:
         async with served() as site, tab(site) as page:
-            assert "result" in await page.call("get_status")  # connected: what comes before that is refused
+            assert "result" in await page.call("get_status")  # waits for the connection: streams before it are refused
             for seq in range(200):
                 await page.notify("stream_target", {"seq": seq, "position_m": [0.0, 0.0]})
             assert "result" in await page.call("get_status")
@@ -299,7 +299,7 @@ def test_telemetry_passes_as_it_came_to_each_page_that_wants_it() -> None:
 
 
 async def published(site: WebSite, page: Any, topic: str, body: dict[str, Any]) -> None:
-    """Sends until it arrives: a subscription takes its time to the daemon."""
+    """Publish a message until it arrives, because a subscription takes time to reach the daemon."""
     arrived = asyncio.create_task(page.telemetry(topic))
     while not arrived.done():
         site.daemon.publish(topic, body)

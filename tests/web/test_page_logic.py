@@ -1,4 +1,4 @@
-"""The page's modules that keep samples, scene and connection, imported in the page and given what a test makes up."""
+"""The page's modules for samples, scene and connection, imported in the page with data made up by tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.web.browser import Pages
 
 pytestmark = pytest.mark.slow
 
-# Batches as the daemon sends them, made of a description: [name, format, value(tick, component)].
+# Makes batches like those of the daemon from a description: [name, format, value(tick, component)].
 MAKE = """
   const { SampleStore, MAX_ROWS } = await import("/static/samples.js");
   const WIDTHS = { f8: 8, f4: 4, i8: 8, u8: 8, i4: 4, u4: 4, u2: 2 };
@@ -103,7 +103,7 @@ def test_the_ring_keeps_the_newest_and_grows_with_the_rate(page: Page) -> None:
         store.setRate(10);
         return [before, after, store.capacity];""",
     )
-    # After it grew, the rows of before the growth are those that the small ring had.
+    # After the ring grew, its older rows are those of the small ring.
     assert found == [[250, 150, 100, 150, 249], [260, 150, 1000, 200, 259, 0], 1000]
 
 
@@ -112,14 +112,14 @@ def test_lost_samples_are_counted_and_those_of_the_daemon_separately(page: Page)
         page,
         """
         const store = new SampleStore(1);
-        const told = [];
-        store.addEventListener("lost", (event) => told.push(event.detail.count));
+        const counts = [];
+        store.addEventListener("lost", (event) => counts.push(event.detail.count));
         store.add(batch(0, 10));
         store.add(batch(15, 10));            // 5 lost on the way
         store.add(batch(32, 10, TODAY, 4));  // 7 missing, 4 of them in the daemon
         store.expectGap();
         store.add(batch(900, 10, TODAY, 20)); // left out on purpose
-        return [store.lost, store.dropped, told, store.ticks[store.rows - 1]];""",
+        return [store.lost, store.dropped, counts, store.ticks[store.rows - 1]];""",
     )
     assert found == [12, 4, [5, 7], 909]
 
@@ -250,4 +250,4 @@ def test_parts_that_failed_are_mounted_again_and_no_others(page: Page, pages: Pa
     assert found["last"] == ["begins, mounted"] * 3
     assert found["mounts"] == ["whole", *["late", "later"] * 3]
     assert found["heard"] == ["whole", "late", "later"]
-    assert len(pages.take_errors()) == 4  # each failure on the console, for whoever looks for its cause
+    assert len(pages.take_errors()) == 4  # each failure is on the console

@@ -1,4 +1,4 @@
-"""A recording that is open: rows, outlines and the scene at a row."""
+"""An open recording: rows, outlines and the scene at a row."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""The folder of recordings: a page names what is in it, and nothing else."""
+"""The folder of recordings: a page can name only the recordings in the folder."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""YAML of a page: what is opened, what is refused and where, what is saved and read again."""
+"""YAML of a page: opened files, faults with their places, and saved files that are read again."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIBRARY: dict[str, Any] = {name: material.to_dict() for name, material in shippe
 
 
 def running(text: str) -> tuple[Any, Any]:
-    """Scene and materials of a daemon that took this text."""
+    """Return scene and materials of a daemon that applied this text."""
     opened = read("a.yaml", text)
     return copy.deepcopy(opened.scene), copy.deepcopy({**LIBRARY, **opened.materials})
 
