@@ -52,7 +52,7 @@ _FIRST_LIBRARY_FILE: Final = "okamura1998.yaml"
 MAX_TAP_POINTS: Final = 256
 """Maximum number of `tap.amplitudes`: the core's HD_TAP_POINTS."""
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
-"""Minimum difference of two approach speeds of `tap.amplitudes`."""
+"""Minimum difference of successive approach speeds of `tap.amplitudes`."""
 MAX_PROVENANCE_FILES: Final = 1000
 """Maximum number of recordings that the provenance of a material lists."""
 MAX_REASONS: Final = 64

@@ -78,7 +78,7 @@ def _described(name: str, file: str) -> ShippedFile:
 def file_of(text: str, folder: Folder) -> str:
     """Return the path of the file that `text` names: an existing file, or a shipped one. `-` is the standard input.
 
-    Raises HapticdError for a name without folder that is neither. Another path is returned even if it does not exist.
+    Raises HapticdError for a mere name that is neither. A path is returned even if the file does not exist.
     """
     if text == "-":
         return "/dev/stdin"

@@ -42,7 +42,7 @@ from hapticd.config.modes import (
 MAX_ORDER: Final = 32
 """Maximum order p of an autoregressive model."""
 MAX_MODELS: Final = 64
-"""Maximum number of models of a texture."""
+"""Maximum number of autoregressive models of a texture."""
 MAX_SEED: Final = 2**53
 """Maximum seed of a texture's noise: the largest integer that a JSON number holds exactly."""
 MAX_RMS_M_PER_S2: Final = 1e6

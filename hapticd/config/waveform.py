@@ -98,7 +98,7 @@ class Curve:
 
     @cached_property
     def _peaks(self) -> tuple[Floats, Floats]:
-        """Largest magnitude of the cubic between two samples, for each, and its relative position there, 0 to 1."""
+        """Largest magnitude of each cubic between two samples, and its relative position between them, 0 to 1."""
         places = np.zeros((4, len(self._begin)))
         places[1] = 1.0
         with np.errstate(divide="ignore", invalid="ignore"):

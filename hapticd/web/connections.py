@@ -22,7 +22,7 @@ REQUEST_TIMEOUT_S: Final = 30.0
 RESPONSE_TIMEOUT_S: Final = 30.0
 """Time in which a response, or the next block of a file, must be transferred."""
 _SWEEP_INTERVAL_S: Final = 1.0
-"""Interval in which overdue connections are closed."""
+"""Interval at which overdue connections are closed."""
 _DEADLINE_EXTENDER: Final[ContextVar[Callable[[], None]]] = ContextVar("deadline_extender", default=lambda: None)
 """Extends the deadline of the current request; Connections.middleware sets it."""
 

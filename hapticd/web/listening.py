@@ -16,14 +16,14 @@ from hapticd.web.hosts import Hosts
 from hapticd.web.passwords import Passwords
 
 _LISTEN_BACKLOG: Final = 64
-"""Connections that the kernel queues until they are accepted."""
+"""Number of connections that the kernel queues until the server accepts them."""
 _MAX_PEM_FILE_BYTES: Final = 1 << 20
-"""Largest certificate or key file."""
+"""Maximum size of a certificate or key file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """A bound socket, the names that it is served under, and its access rules."""
+    """A bound socket, the host names and the address of its server, and the server's access rules."""
 
     socket: socket.socket
     hosts: Hosts

@@ -11,9 +11,9 @@ from collections import Counter, deque
 from typing import Final
 
 MAX_WAITING_ANSWERS: Final = 512
-"""Waiting answers and news above which a page is closed."""
+"""Maximum number of waiting answers and news; beyond it the page is closed."""
 MAX_WAITING_ANSWER_BYTES: Final = 16 << 20
-"""Size of the waiting answers and news above which a page is closed."""
+"""Maximum size of the waiting answers and news; beyond it the page is closed."""
 MAX_WAITING_BY_TOPIC: Final = {"samples": 100, "state": 1, "status": 1, "event": 500, "change": 100}
 """Messages of each topic that may wait: two seconds of samples, but only the newest state and status.
 
@@ -22,7 +22,7 @@ Older messages are dropped. The page sees the gap in `first_tick`, and gets the 
 
 
 class OutboxFullError(Exception):
-    """Too many answers wait: the page does not read them."""
+    """Too many answers or news wait for a page that does not read them."""
 
 
 class _Waiting:

@@ -18,11 +18,11 @@ from hapticd.client.record import ended_early
 from hapticd.recording.recording import Recording
 
 MAX_ROWS_PER_ANSWER: Final = 20_000
-"""Most samples in one answer: 2 MB."""
+"""Maximum number of samples in one answer, which then has about 2 MB."""
 MAX_OUTLINE_PIXELS: Final = 4096
-"""Most pixels of one outline, which has the minimum and the maximum of a column per pixel."""
+"""Maximum number of pixels of an outline, which has the minimum and the maximum of a column per pixel."""
 MAX_SHOWN_EVENTS: Final = 5000
-"""Most events of a recording that a page gets; later ones are left out."""
+"""Maximum number of events of a recording that a page gets; later events are left out."""
 _MAX_EVENT_TEXT_CHARACTERS: Final = 500
 """Longest text in an event; members with a longer text are left out."""
 _RATE_RANGE_HZ: Final = (1.0, 1e6)
@@ -84,7 +84,7 @@ class Playback:
             raise HapticdError(f"{recording.path}: contains no samples")
 
     def facts(self) -> dict[str, Json]:
-        """Return the facts that the page shows: duration, rate, notes, events and others."""
+        """Return what the page shows about the recording: duration, rate, notes, events and others."""
         recording, samples = self._recording, self._samples
         times = samples["time_ns"]
         started = recording.started

@@ -24,7 +24,7 @@ from hapticd.recording.writer import RecordingWriter
 from hapticd.web.recording_folder import RecordingFolder
 
 PROGRESS_INTERVAL_S: Final = 0.5
-"""Interval in which pages get the progress of a recording."""
+"""Interval at which pages get the progress of a recording."""
 MAX_RECORDING_S: Final = 86_400.0
 """Longest duration that may be given for a recording: a day."""
 _MIN_FREE_BYTES: Final = 64 << 20
@@ -110,7 +110,7 @@ class WebRecorder:
     async def start(self, name: object, notes: object = None, for_s: object = None) -> dict[str, Json]:
         """Begin a recording, and return the state once the first sample is in the file.
 
-        Raises HapticdError if it cannot be recorded.
+        Raises HapticdError if the recording cannot begin.
         """
         if self._active is not None:
             raise HapticdError(f"a recording is under way: {self._active.name}; stop it first")
@@ -191,7 +191,7 @@ def _resolve(future: asyncio.Future[None]) -> None:
 
 
 def _result_of(found: RecordSummary) -> dict[str, Json]:
-    """Return the member `last` of the state of a recording that ended."""
+    """Return the summary of an ended recording, the member `last` of the state."""
     return {
         "name": Path(found.file).name,
         "ticks": found.ticks,

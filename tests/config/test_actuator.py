@@ -165,14 +165,13 @@ def test_the_lag_is_the_simulated_one_unless_another_is_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ("order", "rate", "problem"),
-    [(3, 1e3, "actuator_order: 3"), (1, 0.0, "actuator_order: 1"), (1, 1e7, "is too fast")],
+    ("order", "rate", "fault"), [(3, 1e3, "actuator_order: 3"), (1, 0.0, "actuator_order: 1"), (1, 1e7, "is too fast")]
 )
-def test_impossible_lags_are_refused(order: int, rate: float, problem: str) -> None:
+def test_impossible_lags_are_refused(order: int, rate: float, fault: str) -> None:
     from hapticd.base.core import invalid_reason
 
     config = ffi.new("struct hd_sim_config *")
     config.handle_mass_kg, config.workspace_m, config.force_timeout_s = 0.04, 0.075, 0.1
     config.actuator_order, config.actuator_rate_per_s = order, rate
     assert lib.hd_sim_new(config, 1e-3) == ffi.NULL
-    assert problem in invalid_reason()
+    assert fault in invalid_reason()

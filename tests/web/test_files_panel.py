@@ -39,9 +39,7 @@ def give(page: Page, text: str, name: str = "table.yaml") -> None:
 
 def wait_said(page: Page, begin: str) -> str:
     """Return the panel's message, once it begins with `begin`."""
-    page.wait_for_function(
-        "(begin) => document.querySelector('#files-message').textContent.startsWith(begin)", arg=begin
-    )
+    page.wait_for_function("(text) => document.querySelector('#files-message').textContent.startsWith(text)", arg=begin)
     return page.locator("#files-message").inner_text()
 
 
