@@ -426,16 +426,16 @@ def shipped_materials() -> Materials:
     Raises InvalidError for a fault in a file, and for a material that two files define.
     """
     library: dict[str, Material] = {}
-    for name in library_files():
-        document = shipped_document(name)
+    for file in library_files():
+        document = shipped_document(file)
         try:
-            found = _Library.parsed(document.data).materials
+            added = _Library.parsed(document.data).materials
         except ValidationError as error:
             raise InvalidError(Problem(document.where(path), text) for path, text in faults_of(error)) from None
-        twice = [Problem(document.where(("materials", each)), "is defined twice") for each in found if each in library]
+        twice = [Problem(document.where(("materials", name)), "is defined twice") for name in added if name in library]
         if twice:
             raise InvalidError(twice)
-        library |= found
+        library |= added
     return MappingProxyType(library)
 
 

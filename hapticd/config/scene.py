@@ -273,14 +273,14 @@ def of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObjec
 
     It has the objects with several materials, and the first object of each other material.
     """
-    found: dict[str, SceneObject] = {}
+    selected: dict[str, SceneObject] = {}
     seen: set[str] = set()
     for id, item in objects.items():
         names = material_names(item)
         if len(names) > 1 or not seen.issuperset(names):
             seen.update(names)
-            found[id] = item
-    return found
+            selected[id] = item
+    return selected
 
 
 class Display(Model):

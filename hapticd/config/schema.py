@@ -48,8 +48,8 @@ def closed(schema: Json) -> Json:
         return [closed(each) for each in schema]
     if not isinstance(schema, dict):
         return schema
-    found = {key: closed(value) for key, value in schema.items()}
-    return {**found, "additionalProperties": False} if isinstance(found.get("patternProperties"), dict) else found
+    inner = {key: closed(value) for key, value in schema.items()}
+    return {**inner, "additionalProperties": False} if isinstance(inner.get("patternProperties"), dict) else inner
 
 
 def config_schema() -> dict[str, Json]:

@@ -139,7 +139,7 @@ class Curve:
         return known[1]
 
     def peaks_from(self, parts: int) -> Floats:
-        """Return, for each of `parts` equal parts of the curve, an upper bound of |s| from the part's start to the end.
+        """Return upper bounds of |s| from the start of each of `parts` equal parts of the curve to its end.
 
         The shape is (parts,). A cubic in which a part starts counts completely.
         """

@@ -88,8 +88,8 @@ class Connections:
 
         @web.middleware
         async def timed(request: web.Request, handler: Handler) -> web.StreamResponse:
-            found = request.transport.get_protocol() if request.transport is not None else None
-            connection = found if isinstance(found, _Connection) and found in self._open else None
+            protocol = request.transport.get_protocol() if request.transport is not None else None
+            connection = protocol if isinstance(protocol, _Connection) and protocol in self._open else None
             if connection is None:
                 return await handler(request)
             _DEADLINE_EXTENDER.set(lambda: self._rearm(connection, RESPONSE_TIMEOUT_S))

@@ -54,12 +54,12 @@ def listen(host: str, port: int, cert: str | None, key: str | None, password_fil
 
 def _address_of(host: str, port: int) -> str:
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        infos = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (OSError, UnicodeError) as error:
         raise HapticdError(f"--host {printable(host)}: {getattr(error, 'strerror', None) or error}") from None
     if host.lower() == "localhost":
         return "127.0.0.1"
-    return str(found[0][4][0])
+    return str(infos[0][4][0])
 
 
 def _require_options(host: str, loopback: bool, cert: str | None, key: str | None, password_file: str | None) -> None:
@@ -132,8 +132,8 @@ def _names_in(cert: str, server: ssl.SSLContext) -> list[str]:
                 side.do_handshake()
             except ssl.SSLWantReadError:
                 continue
-        found = there.getpeercert() or {}
-        subjects = cast("tuple[tuple[str, str], ...]", found.get("subjectAltName", ()))
+        certificate = there.getpeercert() or {}
+        subjects = cast("tuple[tuple[str, str], ...]", certificate.get("subjectAltName", ()))
     except ssl.SSLError as error:
         why = getattr(error, "verify_message", None) or error.reason or error
         raise HapticdError(f"--tls-cert {printable(cert)}: browsers would refuse it: {why}") from None

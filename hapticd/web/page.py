@@ -197,7 +197,7 @@ class Page:
         elif request.method not in self._daemon_methods and request.method not in self._methods:
             self._refuse(request, Code.NO_SUCH_METHOD, f"no method {request.method!r:.60} for a page", "method")
         elif request.method in page_calls.STREAM_METHODS and not request.has_id:
-            if not self._limits.streams.take_if_there(1):
+            if not self._limits.streams.try_take(1):
                 self.refused["streams"] += 1
             elif not self._relay.notify(body):
                 self.refused["no daemon"] += 1
@@ -239,7 +239,7 @@ class Page:
                 request, RATE_LIMIT_CODE, f"{MAX_PENDING_CALLS} calls of this page are already under way", "calls"
             )
             return False
-        if not self._limits.calls.take_if_there(1):
+        if not self._limits.calls.try_take(1):
             self._refuse(request, RATE_LIMIT_CODE, "too many calls a second of this page", "calls")
             return False
         return True

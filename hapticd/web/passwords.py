@@ -78,15 +78,15 @@ class Passwords:
         if len(given) > MAX_PASSWORD_BYTES:
             return "wrong"
         async with self._one_at_a_time:
-            found = await asyncio.to_thread(_scrypt, given, self._salt, *self._cost)
-        return "right" if hmac.compare_digest(found, self._hash) else "wrong"
+            hashed = await asyncio.to_thread(_scrypt, given, self._salt, *self._cost)
+        return "right" if hmac.compare_digest(hashed, self._hash) else "wrong"
 
     def _may_try(self, address: str) -> bool:
         of_address = self._addresses.setdefault(address, Bucket(*_TRIES_PER_ADDRESS, self._now))
         self._addresses.move_to_end(address)
         if len(self._addresses) > _MAX_TRACKED_ADDRESSES:
             self._addresses.popitem(last=False)
-        return of_address.take_if_there(1) and self._all.take_if_there(1)
+        return of_address.try_take(1) and self._all.try_take(1)
 
 
 def _scrypt(password: bytes, salt: bytes, n: int, r: int, p: int) -> bytes:

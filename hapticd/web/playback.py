@@ -102,17 +102,17 @@ class Playback:
         }
 
     def _events(self) -> list[Json]:
-        found: list[Json] = []
+        events: list[Json] = []
         ticks = self._samples["tick"]
         for event in self._recording.events:
             kind, tick = event.get("event"), event.get("tick")
             if kind not in _SHOWN_EVENT_KINDS or type(tick) is not int or not int(ticks[0]) <= tick <= int(ticks[-1]):
                 continue
             row = int(np.searchsorted(ticks, np.uint64(tick)))
-            found.append({**{name: value for name, value in event.items() if _is_brief(value)}, "row": row})
-            if len(found) == MAX_SHOWN_EVENTS:
+            events.append({**{name: value for name, value in event.items() if _is_brief(value)}, "row": row})
+            if len(events) == MAX_SHOWN_EVENTS:
                 break
-        return found
+        return events
 
     def rows(self, first: int, count: int) -> dict[str, object]:
         """Return `count` samples from row `first` on, as in the topic `samples` (docs/protocol.md)."""
@@ -154,8 +154,8 @@ class Playback:
         part = self._samples[first:last]
         if name in _COMPONENT_COLUMNS:
             field, component = _COMPONENT_COLUMNS[name]
-            found: npt.NDArray[np.float64] = part[field][:, component]
-            return found
+            values: npt.NDArray[np.float64] = part[field][:, component]
+            return values
         vectors = part[_MAGNITUDE_COLUMNS[name]]
         length: npt.NDArray[np.float64] = np.hypot(vectors[:, 0], vectors[:, 1])
         return length

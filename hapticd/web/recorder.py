@@ -169,10 +169,10 @@ class WebRecorder:
 
         try:
             with self._connect() as client:
-                found = record(
+                summary = record(
                     client, target, active.for_s, notes=notes, stop=active.stop, progress=progress, opened=opened
                 )
-            last = _result_of(found)
+            last = _result_of(summary)
         except HapticdError as error:
             last = {"name": active.name, "error": str(error)}
         except Exception as error:  # unexpected: pages must get the end of the recording in any case
@@ -190,15 +190,15 @@ def _resolve(future: asyncio.Future[None]) -> None:
         future.set_result(None)
 
 
-def _result_of(found: RecordSummary) -> dict[str, Json]:
+def _result_of(summary: RecordSummary) -> dict[str, Json]:
     """Return the summary of an ended recording, the member `last` of the state."""
     return {
-        "name": Path(found.file).name,
-        "ticks": found.ticks,
-        "duration_s": found.duration_s,
-        "lost": found.lost + found.dropped,
-        "ended_because": ended_early(found.ended_because),
-        "warning": found.warning,
+        "name": Path(summary.file).name,
+        "ticks": summary.ticks,
+        "duration_s": summary.duration_s,
+        "lost": summary.lost + summary.dropped,
+        "ended_because": ended_early(summary.ended_because),
+        "warning": summary.warning,
     }
 
 

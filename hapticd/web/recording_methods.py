@@ -67,10 +67,10 @@ class Recordings:
     # ---- Record, list, download, delete ----------------------------------------------------------------------------
 
     async def _list(self, _: Page, params: Mapping[str, object]) -> object:
-        found = await asyncio.to_thread(self._folder.list)
+        listed = await asyncio.to_thread(self._folder.list)
         return {
             "folder": os.fspath(self._folder.path),
-            "recordings": [each.to_dict() for each in found],
+            "recordings": [each.to_dict() for each in listed],
             "free_bytes": self._folder.free_bytes(),
         }
 

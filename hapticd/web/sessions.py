@@ -27,10 +27,10 @@ class Sessions:
 
     def admit(self, token: str) -> str | None:
         """Use up a one-time token and return a new session for the cookie; None if the token is not valid."""
-        found = _find(self._tokens, token)
-        if found is None:
+        known = _find(self._tokens, token)
+        if known is None:
             return None
-        del self._tokens[found]
+        del self._tokens[known]
         return self.open()
 
     def open(self) -> str:
@@ -39,10 +39,10 @@ class Sessions:
 
     def knows(self, session: str) -> bool:
         """Return whether a session is valid."""
-        found = _find(self._sessions, session)
-        if found is not None:
-            self._sessions.move_to_end(found)
-        return found is not None
+        known = _find(self._sessions, session)
+        if known is not None:
+            self._sessions.move_to_end(known)
+        return known is not None
 
 
 def _added(known: OrderedDict[str, None], most: int) -> str:
@@ -56,8 +56,8 @@ def _added(known: OrderedDict[str, None], most: int) -> str:
 
 def _find(valid: OrderedDict[str, None], given: str) -> str | None:
     """Return the valid secret that equals `given`, or None. All secrets are compared, each in constant time."""
-    found = None
+    match = None
     for each in valid:
         if hmac.compare_digest(each.encode(), given.encode("utf-8", "surrogateescape")):
-            found = each
-    return found
+            match = each
+    return match

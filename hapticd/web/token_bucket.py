@@ -20,7 +20,7 @@ class Bucket:
         self._level -= amount
         return max(0.0, -self._level / self._per_s)
 
-    def take_if_there(self, amount: float) -> bool:
+    def try_take(self, amount: float) -> bool:
         """Take tokens if there are enough, and return whether they were taken."""
         self._fill()
         there = self._level >= amount

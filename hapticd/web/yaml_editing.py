@@ -50,9 +50,9 @@ def edited(text: str, after: dict[str, Json]) -> tuple[str, bool]:
         return text, True
     try:
         node = yaml.compose(body, Loader=_YAML_LOADER)
-        found = _Edits(body)
-        found.value(cast(yaml.Node, node), before, after)
-        new = found.applied()
+        edits = _Edits(body)
+        edits.value(cast(yaml.Node, node), before, after)
+        new = edits.applied()
         if same(load_text(new, "").data, after):
             return mark + new, True
     except (_IntricateError, HapticdError):

@@ -255,11 +255,11 @@ def test_streams_a_second_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_token_bucket_limits_burst_and_rate() -> None:
     now = 0.0
     allowance = Bucket(10.0, 5.0, lambda: now)
-    assert [allowance.take_if_there(1) for _ in range(7)] == [True] * 5 + [False] * 2
+    assert [allowance.try_take(1) for _ in range(7)] == [True] * 5 + [False] * 2
     now = 0.1
-    assert [allowance.take_if_there(1) for _ in range(2)] == [True, False]
+    assert [allowance.try_take(1) for _ in range(2)] == [True, False]
     now = 100.0
-    assert [allowance.take_if_there(1) for _ in range(6)] == [True] * 5 + [False]
+    assert [allowance.try_take(1) for _ in range(6)] == [True] * 5 + [False]
     assert allowance.take(20.0) == pytest.approx(2.0)
 
 
