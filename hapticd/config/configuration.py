@@ -132,7 +132,7 @@ class Sim(Model):
     @model_validator(mode="after")
     def _one_way_of_reports(self) -> Self:
         if self.link is not None and (self.report_interval_s or self.report_delay_s):
-            raise ValueError("with a link, report_interval_s and report_delay_s must be left out: the link has both")
+            raise ValueError("with a link, leave out report_interval_s and report_delay_s: the link sets both")
         return self
 
     @model_validator(mode="after")

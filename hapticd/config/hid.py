@@ -32,7 +32,7 @@ def _hex(text: str) -> str:
     except ValueError:
         report = b""
     if not 0 < len(report) <= MAX_REPORT_BYTES + 1:
-        raise ValueError(f'must be hex digits such as "02 01 00", at most {MAX_REPORT_BYTES + 1} bytes: {shown(text)}')
+        raise ValueError(f'must be hex digits, as "02 01 00", at most {MAX_REPORT_BYTES + 1} bytes, is {shown(text)}')
     return text
 
 
@@ -162,7 +162,7 @@ class VendorOutput(Model):
         for name, axis in (("x", self.x), ("y", self.y)):
             if axis is not None and axis.end > 8 * self.length:
                 raise ValueError(
-                    f"{name} ends at bit {axis.end - 1}, a report of {self.length} bytes at bit {8 * self.length - 1}"
+                    f"{name} ends at bit {axis.end - 1}, but {self.length} bytes end at bit {8 * self.length - 1}"
                 )
         if self.y is not None:
             _refuse_overlap(self.x, self.y)
@@ -261,7 +261,7 @@ class Hid(Model):
         if {"reports_on_change", "reports_steadily"} <= set(self.quirks):
             raise ValueError("quirks: reports_on_change and reports_steadily exclude each other")
         if self.axes.x.usage == self.axes.y.usage:
-            raise ValueError(f"axes: x and y must be two axes, both are {self.axes.x.usage}")
+            raise ValueError(f"axes: x and y must be different axes, both are {self.axes.x.usage}")
         return self
 
 

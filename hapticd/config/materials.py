@@ -68,7 +68,7 @@ TapPoint: TypeAlias = Annotated[
 
 def _rising(interval: tuple[float, float]) -> tuple[float, float]:
     if interval[0] > interval[1]:
-        raise ValueError(f"must not end below its beginning, is {list(interval)}")
+        raise ValueError(f"must be [low, high], low <= high, is {list(interval)}")
     return interval
 
 
@@ -76,7 +76,7 @@ def _a_day(text: str) -> str:
     try:
         datetime.date.fromisoformat(text)
     except ValueError:
-        raise ValueError(f"must be a day, year-month-day, is {quoted(text)}") from None
+        raise ValueError(f"must be a date such as 2026-11-29, is {quoted(text)}") from None
     return text
 
 
@@ -352,10 +352,10 @@ class Material(Model):
         if tap is None:
             other = "or a tap of the material"
         elif isinstance(tap, Tap) and tap.one_mode is None:
-            other = f"as the tap {'is a waveform' if tap.mode_table is None else 'has a mode_table'}"
+            other = f"because the tap {'is a waveform' if tap.mode_table is None else 'has a mode_table'}"
         else:
             return texture
-        raise ValueError(f"needs a mode: its own frequency_hz and decay_time_s, {other}")
+        raise ValueError(f"needs a mode: frequency_hz and decay_time_s of the texture, {other}")
 
     @property
     def fitted(self) -> Mapping[str, FitVerdict]:

@@ -294,7 +294,7 @@ def gesture_waypoints(
             _puncture(gesture, target, grip, path)
     rows = np.array(path.rows, dtype=np.float64)
     if not (np.isfinite(rows).all() and rows[-1, 0] <= MAX_TIME_S and len(rows) <= MAX_WAYPOINTS):
-        problem = f"would last {rows[-1, 0]:g} s or go out of reach; at most {MAX_TIME_S:g} s"
+        problem = f"would last {rows[-1, 0]:g} s in {len(rows)} waypoints; at most {MAX_TIME_S:g} s in {MAX_WAYPOINTS}"
         raise InvalidError([Problem("gesture", problem)])
     return rows
 

@@ -225,14 +225,14 @@ class Grooves(CheckedTogether):
         for display, keys in _KEYS_OF.items():
             if display != self.display:
                 faults += [
-                    f"{key} belongs to display {display}, this one is {self.display}"
+                    f"{key} belongs to display {display}, but display is {self.display}"
                     for key in keys
                     if key in self.model_fields_set and getattr(self, key) is not None
                 ]
         match self.display:
             case "vibration":
                 if not any(getattr(self, key) > 0 for key in _GAIN_KEYS):
-                    faults.append(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise it is silent")
+                    faults.append(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise the texture is silent")
                 faults += self._mode_faults()
             case "geometry" if self.depth_m is None:
                 faults.append("needs depth_m to be displayed as geometry")
@@ -268,7 +268,7 @@ class Stochastic(Model):
     @model_validator(mode="after")
     def _is_not_silent(self) -> Self:
         if max(self.velocity_gain_per_s, self.force_gain_m_per_s2_per_n) <= 0:
-            raise ValueError(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise it is silent")
+            raise ValueError(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise the texture is silent")
         return self
 
 

@@ -166,7 +166,7 @@ def test_a_link_sets_interval_and_age_of_positions() -> None:
     assert load_config({}).device.sim.reports_s == (0, 0)
     sim = load_config({"device": {"sim": {"link": {"rate_hz": 250, "delay_frames": 3}}}}).device.sim
     assert sim.reports_s == pytest.approx((0.004, 0.012), rel=1e-15)
-    text = "with a link, report_interval_s and report_delay_s must be left out: the link has both"
+    text = "with a link, leave out report_interval_s and report_delay_s: the link sets both"
     for key in ("report_interval_s", "report_delay_s"):
         assert faults({"device": {"sim": {"link": {"rate_hz": 1000}, key: 0.001}}}) == {"device.sim": text}
     assert list(faults({"device": {"sim": {"link": {}}}})) == ["device.sim.link.rate_hz"]

@@ -177,7 +177,7 @@ def test_grooves_need_a_separate_mode_if_the_tap_has_a_table() -> None:
         "width_m": 0.001,
         "force_gain_m_per_s2_per_n": 1,
     }
-    with pytest.raises(InvalidError, match="as the tap has a mode_table"):
+    with pytest.raises(InvalidError, match="because the tap has a mode_table"):
         validate_materials({"m": {**material(), "texture": grooves}})
 
 
