@@ -11,7 +11,8 @@ const WALL_CANDIDATES = [
   { point_m: [0, 0.065], normal: [0, -1] },
 ];
 
-const rounded = (value) => Number(value.toFixed(6));
+// Returns a length in m, rounded to micrometres.
+export const rounded = (value) => Number(value.toFixed(6));
 
 // Returns the distance of a point from an object, in m; negative: inside. Objects that cannot be touched are far away.
 export function clearance([x, y], object) {

@@ -1,4 +1,5 @@
 // How the simulated hand tries a material: where in the scene it can be touched, and by which gesture.
+import { rounded } from "./placement.js";
 
 const REACH_M = 0.06; // reach of the hand, to either side of the middle
 const MARGIN = 0.1; // fraction of a section that is left free at each end
@@ -42,8 +43,6 @@ export function spotOf(scene, name) {
   const inset = MARGIN * (longest.to - longest.from);
   return { object: longest.object, from: longest.from + inset, to: longest.to - inset };
 }
-
-const rounded = (value) => Number(value.toFixed(6));
 
 // Returns the params of set_operator.
 export function tapGesture({ object, from, to }) {
