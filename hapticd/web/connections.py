@@ -37,12 +37,12 @@ class Connections:
 
     def __init__(
         self,
-        most: int = MAX_BROWSER_CONNECTIONS,
+        limit: int = MAX_BROWSER_CONNECTIONS,
         request_s: float = REQUEST_TIMEOUT_S,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Allow `most` connections of browsers, each of which must send a request within `request_s`."""
-        self._most, self._request_s, self._now = most, request_s, now
+        """Allow `limit` connections of browsers, each of which must send a request within `request_s`."""
+        self._limit, self._request_s, self._now = limit, request_s, now
         self._open: dict[_Connection, float] = {}
         """The time at which each open connection is closed; 0: never."""
         self.refused = 0
@@ -59,7 +59,7 @@ class Connections:
 
     def opened(self, connection: _Connection) -> bool:
         """Add a new connection and return True; if the maximum number is open, return False."""
-        if len(self._open) >= self._most:
+        if len(self._open) >= self._limit:
             self.refused += 1
             return False
         self._open[connection] = self._now() + self._request_s
@@ -117,7 +117,7 @@ class _Connection(asyncio.Protocol):
     def __init__(self, inner: asyncio.Protocol, connections: Connections) -> None:
         self._inner, self._connections = inner, connections
         self._transport: asyncio.Transport | None = None
-        self._taken = False
+        self._accepted = False
         # The callbacks for data are aiohttp's own, which saves a call for each piece of data.
         self.data_received = inner.data_received  # type: ignore[method-assign]
         self.pause_writing = inner.pause_writing  # type: ignore[method-assign]
@@ -125,20 +125,20 @@ class _Connection(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
-        self._taken = self._connections.opened(self)
-        if self._taken:
+        self._accepted = self._connections.opened(self)
+        if self._accepted:
             self._inner.connection_made(transport)
         else:
             self.data_received = lambda data: None  # type: ignore[method-assign]
             self._transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self._taken:
+        if self._accepted:
             self._connections.closed(self)
             self._inner.connection_lost(exc)
 
     def eof_received(self) -> bool | None:
-        return self._inner.eof_received() if self._taken else None
+        return self._inner.eof_received() if self._accepted else None
 
     def abort(self) -> None:
         """Close the connection at once; unsent data is lost."""

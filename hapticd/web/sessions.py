@@ -45,12 +45,12 @@ class Sessions:
         return known is not None
 
 
-def _added(known: OrderedDict[str, None], most: int) -> str:
-    """Add a new secret to `known`, remove the oldest secrets beyond `most`, and return the new secret."""
+def _added(valid: OrderedDict[str, None], limit: int) -> str:
+    """Add a new secret to `valid`, remove the oldest secrets beyond `limit`, and return the new secret."""
     made = secrets.token_urlsafe(32)
-    known[made] = None
-    while len(known) > most:
-        known.popitem(last=False)
+    valid[made] = None
+    while len(valid) > limit:
+        valid.popitem(last=False)
     return made
 
 

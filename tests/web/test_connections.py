@@ -64,7 +64,7 @@ def test_an_incomplete_request_is_closed(sent: bytes) -> None:
 
 def test_connections_are_limited_and_pages_stay() -> None:
     async def test() -> None:
-        held = Connections(most=5)
+        held = Connections(limit=5)
         async with served(connections=held, there=False) as site, tab(site) as page:
             pairs = [await connected(site) for _ in range(4)]
             reader, writer = await connected(site)

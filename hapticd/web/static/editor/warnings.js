@@ -23,7 +23,7 @@ export class Warnings extends EventTarget {
       this.#take(app.model.status);
       this.#askMargins();
     });
-    app.undo.changes.addEventListener("taken", ({ detail }) => {
+    app.undo.changes.addEventListener("accepted", ({ detail }) => {
       if (detail.target === "materials") {
         const lines = detail.warnings.map(({ where, problem }) => ({ path: parsePath(where).slice(1), text: problem }));
         for (const name of Object.keys(detail.patch)) {
