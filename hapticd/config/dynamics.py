@@ -61,7 +61,7 @@ def held_motion(dynamics: Dynamics, span_s: float) -> tuple[npt.NDArray[np.float
     """Return the arrays `state` and `pushed` that advance the held handle by `span_s` seconds at a constant force F.
 
     Position and velocity [x, v] become exactly state @ [x, v] + pushed F. state (2, 2) and pushed (2,), both read-only,
-    are blocks of exp([[A, B], [0, 0]] span_s) for x' = A x + B F, computed by scaling and squaring of the series.
+    are blocks of exp([[A, B], [0, 0]] span_s) for x' = A x + B F. The series is computed by scaling and squaring.
     """
     mass = dynamics.mass_kg
     a = np.zeros((3, 3))

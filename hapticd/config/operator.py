@@ -274,8 +274,8 @@ def gesture_waypoints(
 ) -> npt.NDArray[np.float64]:
     """Return the waypoints of a gesture, rows [t_s, x_m, y_m], shape (n, 3).
 
-    The first row has t > 0. From `reference_m` the hand first moves out along the normal, if it is below the gesture's
-    height, then to the beginning of the gesture, where it stops. Raises InvalidError.
+    The first row has t > 0. If `reference_m` is below the gesture's height, the hand first moves out along the normal.
+    The hand then moves to the beginning of the gesture and stops there. Raises InvalidError.
     """
     if grip.stiffness_n_per_m <= 0:
         problem = "needs a hand that holds the handle: device.sim.hand.stiffness_n_per_m above 0"

@@ -40,7 +40,7 @@ MAX_SCENE_PATCHES: Final = 5000
 MIN_PATCH_M: Final = 1e-5
 """Minimum width of a patch, and of a gap between patches."""
 TOUCHING_DISTANCE_M: Final = 1e-9
-"""Edges of patches that are nearer than this touch, since 0.1 + 0.2 is not 0.3 in floating point."""
+"""Edges of patches at a smaller distance count as touching, since 0.1 + 0.2 is not 0.3 in floating point."""
 _ROUNDING_OF_WIDTHS: Final = 1e-6
 """Relative tolerance of the minimum width MIN_PATCH_M, for rounding."""
 _MAX_SHOWN_OVERLAPS: Final = 5
@@ -50,7 +50,7 @@ MIN_NORMAL_LENGTH = 1e-9
 MAX_NORMAL_COMPONENT = 1e9
 """Maximum magnitude of a normal's component before normalization."""
 UNIT_LENGTH_TOLERANCE: Final = 4 * 2.0**-52
-"""A vector whose length is this near to 1 is a unit vector."""
+"""Maximum difference between 1 and the length of a unit vector."""
 
 
 def _unit(vector: tuple[float, float]) -> tuple[float, float]:

@@ -31,7 +31,7 @@ class ShippedFile:
     shows: str
     """Description, one sentence."""
     operator: str | None
-    """Name of the shipped operator for this scene."""
+    """Name of the shipped operator for a scene; None for other files."""
     file: str
 
     def to_dict(self) -> dict[str, str | None]:

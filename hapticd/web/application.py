@@ -53,7 +53,7 @@ class Pages:
     place: RuntimePaths
     hub: TelemetryHub
     control: Client
-    """Connection to the daemon for the leases and stops of all pages, so that no other call delays them."""
+    """Separate connection to the daemon for the leases and stops of all pages, which other calls cannot delay."""
     demo: bool
     new_address: Callable[[], str]
     recordings: Recordings | None = None

@@ -54,7 +54,7 @@ class Connections:
         return len(self._open)
 
     def factory(self, server: Callable[[], asyncio.BaseProtocol]) -> Callable[[], asyncio.BaseProtocol]:
-        """Return a factory of protocols for `create_server` that wrap those of aiohttp's `server`."""
+        """Return a factory of protocols for `create_server` that wrap the protocols of aiohttp's `server`."""
         return lambda: _Connection(cast(asyncio.Protocol, server()), self)
 
     def opened(self, connection: _Connection) -> bool:

@@ -31,7 +31,7 @@ class Hosts:
         self._scheme = "https://" if secure else "http://"
 
     def _known(self, authority: str) -> str | None:
-        """Return `authority` as name and port if these are a name and the port of this server, else None."""
+        """Return `authority` as NAME:PORT if this server has this name and port, else None."""
         match = _AUTHORITY_PATTERN.fullmatch(authority.lower())
         if match is None or int(match[2] or self._default) != self._port:
             return None

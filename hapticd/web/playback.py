@@ -64,7 +64,7 @@ _MAGNITUDE_COLUMNS: Final = {
 }
 """Columns of vector magnitudes, each with its field of a sample."""
 OUTLINE_COLUMNS: Final = (*_COMPONENT_COLUMNS, *_MAGNITUDE_COLUMNS)
-"""Columns that an outline may show. The names of components are those of static/samples.js."""
+"""Columns that an outline may show. Components have the same names as in static/samples.js."""
 
 
 class Playback:
@@ -131,8 +131,8 @@ class Playback:
     def outline(self, column: str, first: int, last: int, pixels: int) -> dict[str, object]:
         """Return a column of the samples from row `first` to before row `last`, as little-endian float32.
 
-        The result has `min` and `max`, each with one number per pixel, or, if there are at most two rows per pixel,
-        `raw` with one number per row.
+        The result has `min` and `max`, each with one number per pixel. If there are at most two rows per pixel, it has
+        `raw` instead, with one number per row.
         """
         if column not in OUTLINE_COLUMNS:
             raise HapticdError(f"column: must be one of {', '.join(OUTLINE_COLUMNS)}")

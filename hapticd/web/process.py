@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from hapticd.web.metrics import DaemonCollector
 
 _DAEMON_WAIT_S: Final = 0.3
-"""Longest wait for the daemon at the start, so that the first page shows it at once."""
+"""Longest wait for the daemon at the start, so that the first page shows a running daemon at once."""
 
 _log = logging.getLogger("hapticd.web")
 

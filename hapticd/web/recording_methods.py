@@ -28,7 +28,7 @@ _DOWNLOAD_BLOCK_BYTES: Final = 1 << 18
 
 
 class Recordings:
-    """The recordings of this process, and the methods of pages for them."""
+    """The recordings of this process, and the methods with which pages use recordings."""
 
     def __init__(self, folder: Path, connect: Callable[[], AbstractContextManager[Daemon]]) -> None:
         """Record into `folder`. `connect` returns a new client for each recording."""
