@@ -295,8 +295,8 @@ def load_config(source: ConfigSource) -> Config:
     order: a later file overrides key by key, but replaces a material or a scene object completely. Missing keys get
     their defaults. A material of the source replaces a shipped one of the same name. A Config is returned unchanged.
 
-    Raises HapticdError for a file that cannot be read. Raises InvalidError, which names every faulty key with file, line
-    and limit; if all keys are valid, every unknown material.
+    Raises HapticdError for a file that cannot be read. Raises InvalidError, which names every faulty key with file,
+    line and limit; if all keys are valid, every unknown material.
     """
     if isinstance(source, Config):
         return source
@@ -332,7 +332,7 @@ def default_config() -> Config:
 
 
 def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
-    """Load the configuration of a command from the files given with -c, or from the files that locations.choose finds."""
+    """Load a command's configuration from the files given with -c, or from the files that locations.choose finds."""
     return chosen_config(choose(paths))
 
 
