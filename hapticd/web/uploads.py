@@ -58,7 +58,7 @@ class Uploads:
         return web.json_response({"upload": token})
 
     def take(self, token: object) -> Path:
-        """Return the uploaded file of a token; the caller must remove the file. Raises HapticdError if none is stored."""
+        """Return the uploaded file of a token; the caller must remove it. Raises HapticdError for an unknown token."""
         path = self._waiting.pop(token, None) if isinstance(token, str) else None
         if path is None:
             raise HapticdError("upload: the file was removed; choose it again")
