@@ -1,6 +1,6 @@
-// Scene, materials and configuration as the daemon has them. Events: `scene`, `materials`, `config`, when they changed
-// (the scene's `display` too), `status` once a second, `state` with every newest sample, `away` when the daemon does not
-// answer and `back` when it answers again.
+// Scene, materials and configuration as the daemon has them. Events: `scene` (also for its `display`), `materials` and
+// `config` after each change; `status` once a second; `state` with every newest sample; `away` when the daemon does not
+// answer; `back` when it answers again.
 //
 // Changes come by the topic `change` and are applied at once. Everything is requested again only if a change was missed or
 // too large to be listed, or if the daemon was restarted; there is at most one request at a time.

@@ -34,7 +34,7 @@ const aimed = (what) => ({
 });
 
 // Choices by definition of the schema. The option whose keys a value has is in force. When an option is chosen, the `keys` of
-// the others are removed, and `start` gives the missing values. `rare`: offered only if it is in force.
+// the others are removed, and `start` gives the missing values. `rare`: offered only while it is in force.
 export const CHOICES = {
   Tap: [
     {

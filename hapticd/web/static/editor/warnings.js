@@ -1,5 +1,5 @@
-// Warnings about parts of the scene that are not displayed as specified, from the daemon's status, and about stability, from
-// the margins in its answers: `app.warnings`.
+// Warnings (`app.warnings`) about parts of the scene that are not displayed as specified, from the daemon's status. Also the
+// stability of surfaces, from the margins in the daemon's answers.
 //
 // The status comes once a second. After a change of this page it is requested at once, with one call under way. Changes of
 // other clients come without margins, which are requested with the next status.
