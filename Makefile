@@ -263,7 +263,7 @@ VERIFIED = warnings analyze msan rtsan jitter verify-model rtsan-daemon tsan-dae
 	test-systemd test-pythons
 
 .PHONY: verify
-verify: tools ## run everything that make check leaves out, or the part VERIFIED='...'; before you resolve an issue that affects it: hours
+verify: tools ## run everything that make check leaves out, or the part VERIFIED='...', before you close an issue of its checks: hours
 	@mkdir -p build/verify; failed=; for each in $(VERIFIED); do \
 		begin=$$(date +%s); \
 		if $(MAKE) --no-print-directory $$each >build/verify/$$each.log 2>&1; then said=passed; \
@@ -299,7 +299,7 @@ warnings: build
 	fi
 
 .PHONY: verify-units
-verify-units: tools ## let systemd check that the units are valid and as little exposed as docs/service.md says
+verify-units: tools ## let systemd check that the units are valid and not more exposed than docs/service.md states
 	@if command -v systemd-analyze >/dev/null; then \
 		$(BIN)/python -m pytest -q tests/system/test_service_files.py -k 'the_units_are' && \
 		for unit in hapticd hapticd-web; do \

@@ -59,10 +59,10 @@ class Actuator(Model):
         """Return the transfer function F/u at one complex frequency in 1/s."""
         return complex(self.response(np.array([s], np.complex128))[0])
 
-    def shares(self) -> tuple[float, float, float]:
-        """Return the integrals of |h|, t |h| and t h with h(t) the lag's impulse response; the last two in s.
+    def moments(self) -> tuple[float, float, float]:
+        """Return the integrals of |h|, t |h| and t h over time, the last two in s; h(t) is the lag's impulse response.
 
-        The stability analysis uses them. The integral of h is 1.
+        The stability analysis uses these moments. The integral of h is 1.
         """
         if self.order == 1:
             return 1.0, 1.0 / self.rate_per_s, 1.0 / self.rate_per_s

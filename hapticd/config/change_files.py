@@ -1,7 +1,7 @@
 """Materials and a scene from files, for one change of a running daemon.
 
-Files are merged as those of a configuration are: a later one overrides key by key, but replaces materials and objects
-completely. A file holds `materials`, `scene` or both, or the content of one of them.
+Files are merged like those of a configuration: a later file overrides key by key, but replaces a material or an object
+completely. A file holds `materials`, `scene` or both, or the content of one of these keys.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class _ChangeParts(Model):
 
 @dataclass(frozen=True, slots=True)
 class ChangeFiles:
-    """Validated materials and scene, read from files, None if missing, with the file and line of each value."""
+    """Validated materials and scene from files, with file and line of each value; None if no file has the section."""
 
     materials: FromFile | None
     scene: FromFile | None

@@ -132,7 +132,7 @@ class Sim(Model):
     @model_validator(mode="after")
     def _one_way_of_reports(self) -> Self:
         if self.link is not None and (self.report_interval_s or self.report_delay_s):
-            raise ValueError("with a link, report_interval_s and report_delay_s must be left out: the link has both")
+            raise ValueError("with a link, leave out report_interval_s and report_delay_s: the link sets both")
         return self
 
     @model_validator(mode="after")
@@ -292,11 +292,11 @@ def load_config(source: ConfigSource) -> Config:
     """Load and validate a configuration, and add the shipped materials.
 
     `source` is a mapping (which may hold numpy scalars, arrays and tuples), a path, or paths that are merged in
-    order: a later file overrides key by key, but replaces materials and scene objects completely. Missing keys get
+    order: a later file overrides key by key, but replaces a material or a scene object completely. Missing keys get
     their defaults. A material of the source replaces a shipped one of the same name. A Config is returned unchanged.
 
-    Raises InvalidError, which names every faulty key with file, line and limit, or else every unknown material, and
-    HapticdError for a file that cannot be read.
+    Raises HapticdError for a file that cannot be read. Raises InvalidError, which names every faulty key with file,
+    line and limit; if all keys are valid, every unknown material.
     """
     if isinstance(source, Config):
         return source
@@ -332,14 +332,14 @@ def default_config() -> Config:
 
 
 def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
-    """Load the configuration of a command from the files given with -c, or from those that locations.choose finds."""
+    """Load a command's configuration from the files given with -c, or from the files that locations.choose finds."""
     return chosen_config(choose(paths))
 
 
 def chosen_config(chosen: ConfigFiles) -> Config:
     """Load the chosen configuration files as load_config does; without files return the built-in configuration.
 
-    A shipped scene may be given by its name. Raises HapticdError also if the environment names a missing file.
+    A shipped scene may be given by its name. Raises HapticdError also if $HAPTICD_CONFIG names a missing file.
     """
     check_named(chosen)
     files = [file_of(file, "scenes") for file in chosen.files]
@@ -347,7 +347,7 @@ def chosen_config(chosen: ConfigFiles) -> Config:
 
 
 def config_of_documents(documents: Sequence[Document]) -> Config:
-    """Merge documents to a configuration and validate it, as load_config does for files."""
+    """Merge documents into a configuration, validate it, and add the shipped materials, as load_config does."""
     merged = Merged()
     for given in documents:
         document = _as_configuration(given)
@@ -380,7 +380,7 @@ class Merged:
         self._owners: dict[Path, Document] = {}
 
     def add(self, document: Document, data: dict[str, Json]) -> None:
-        """Merge another document: its values replace earlier ones key by key, but materials and objects completely."""
+        """Merge a document. It overrides earlier ones key by key, but replaces a material or an object completely."""
         self._add(document, data, self.data, ())
 
     def _add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:

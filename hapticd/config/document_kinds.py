@@ -87,18 +87,18 @@ def kind_of(data: Json) -> Kind | None:
     return None
 
 
-def refuse_other_kinds(document: Document, *taken: Kind) -> None:
-    """Raise InvalidError if a document is of a known kind other than `taken`.
+def refuse_other_kinds(document: Document, *accepted: Kind) -> None:
+    """Raise InvalidError if a document is of a known kind other than those in `accepted`.
 
     A document of unknown kind is accepted; its reader checks the keys.
     """
     kind = kind_of(document.data)
-    if kind is not None and kind not in taken:
+    if kind is not None and kind not in accepted:
         raise _for_another_command(document, kind)
 
 
 def refuse_documents(path: str | os.PathLike[str]) -> None:
-    """Raise InvalidError if a file that should be a recording is a YAML or JSON document of another command.
+    """Raise InvalidError if the file of a recording is in fact a YAML or JSON document for another command.
 
     Raises HapticdError if such a file cannot be read. Files with other endings are not read.
     """
@@ -110,7 +110,7 @@ def refuse_documents(path: str | os.PathLike[str]) -> None:
 
 
 def refuse_other_keys(document: Document, path: Sequence[str], given: Collection[str], known: str) -> None:
-    """Raise InvalidError if the mapping at `path` has other keys: if any of the keys `given` is not the key `known`."""
+    """Raise InvalidError if `given`, the keys of the mapping at `path`, contains a key other than `known`."""
     text = f"{UNKNOWN_KEY}; known: {known}"
     others = [Problem(document.where((*path, key)), text) for key in given if key != known]
     if others:
@@ -118,6 +118,6 @@ def refuse_other_keys(document: Document, path: Sequence[str], given: Collection
 
 
 def _for_another_command(document: Document, kind: Kind, it: str = "") -> InvalidError:
-    holds, taker = _COMMAND_OF_KIND[kind]
+    holds, command = _COMMAND_OF_KIND[kind]
     name = printable(document.name or "")
-    return InvalidError([Problem(name, f"{it}holds {holds}; use: hapticd {taker} {name}".rstrip())])
+    return InvalidError([Problem(name, f"{it}holds {holds}; use: hapticd {command} {name}".rstrip())])

@@ -58,10 +58,10 @@ class Dynamics:
 
 @lru_cache(maxsize=64)
 def held_motion(dynamics: Dynamics, span_s: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return how the handle's position and velocity change over `span_s` at a constant force F: `state` and `pushed`.
+    """Return the arrays `state` and `pushed` that advance the held handle by `span_s` seconds at a constant force F.
 
-    [x, v] becomes state @ [x, v] + pushed F, exactly. state (2, 2) and pushed (2,), both read-only, are parts of
-    exp([[A, B], [0, 0]] span_s) for x' = A x + B F, computed by scaling and squaring of the series.
+    Position and velocity [x, v] become exactly state @ [x, v] + pushed F. state (2, 2) and pushed (2,), both read-only,
+    are blocks of exp([[A, B], [0, 0]] span_s) for x' = A x + B F. The series is computed by scaling and squaring.
     """
     mass = dynamics.mass_kg
     a = np.zeros((3, 3))

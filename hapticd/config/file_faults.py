@@ -12,7 +12,7 @@ class Source(Protocol):
     """A document, or several merged documents, that finds the place of a value in its file."""
 
     def where(self, path: Sequence[str | int]) -> str:
-        """Return `FILE:LINE:COLUMN: KEY` of the value at `path`, or of the nearest one that contains it."""
+        """Return `FILE:LINE:COLUMN: KEY` of the value at `path`, or of the innermost existing value around it."""
 
 
 class FromFile(dict[str, object]):

@@ -8,7 +8,7 @@ from hapticd.base.errors import shown
 from hapticd.base.model import Model
 
 Usage: TypeAlias = Literal["X", "Y", "Z", "Rx", "Ry", "Rz"]
-"""Usage of an axis, of HID's page Generic Desktop."""
+"""Name of an axis in HID's usage page Generic Desktop."""
 Sign: TypeAlias = Literal[1, -1]
 Quirk: TypeAlias = Literal[
     "infinite_duration",
@@ -21,9 +21,9 @@ Quirk: TypeAlias = Literal[
 ]
 ReportId: TypeAlias = Annotated[int, Field(ge=0, le=255)]
 MAX_REPORT_BYTES = 255
-"""Maximum size of a report, without its id."""
+"""Maximum size of a HID report in bytes, without its id."""
 MAX_REPORTS = 24
-"""Maximum number of reports in the key `disable`, which switch the device off."""
+"""Maximum number of HID reports in the key `disable`, which switches the device off."""
 
 
 def _hex(text: str) -> str:
@@ -32,7 +32,7 @@ def _hex(text: str) -> str:
     except ValueError:
         report = b""
     if not 0 < len(report) <= MAX_REPORT_BYTES + 1:
-        raise ValueError(f'must be hex digits such as "02 01 00", at most {MAX_REPORT_BYTES + 1} bytes: {shown(text)}')
+        raise ValueError(f'must be hex digits, as "02 01 00", at most {MAX_REPORT_BYTES + 1} bytes, is {shown(text)}')
     return text
 
 
@@ -162,7 +162,7 @@ class VendorOutput(Model):
         for name, axis in (("x", self.x), ("y", self.y)):
             if axis is not None and axis.end > 8 * self.length:
                 raise ValueError(
-                    f"{name} ends at bit {axis.end - 1}, a report of {self.length} bytes at bit {8 * self.length - 1}"
+                    f"{name} ends at bit {axis.end - 1}, but {self.length} bytes end at bit {8 * self.length - 1}"
                 )
         if self.y is not None:
             _refuse_overlap(self.x, self.y)
@@ -261,7 +261,7 @@ class Hid(Model):
         if {"reports_on_change", "reports_steadily"} <= set(self.quirks):
             raise ValueError("quirks: reports_on_change and reports_steadily exclude each other")
         if self.axes.x.usage == self.axes.y.usage:
-            raise ValueError(f"axes: x and y must be two axes, both are {self.axes.x.usage}")
+            raise ValueError(f"axes: x and y must be different axes, both are {self.axes.x.usage}")
         return self
 
 

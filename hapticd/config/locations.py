@@ -30,7 +30,7 @@ class ConfigFiles:
     origin: Origin
     files: tuple[str, ...]
     missing: tuple[str, ...]
-    """Files earlier in the search order, which do not exist."""
+    """Files that come earlier in the search order, but do not exist."""
 
     def __str__(self) -> str:
         named = ", ".join(printable(os.path.abspath(file)) for file in self.files)
@@ -49,7 +49,7 @@ def user_config(environ: Mapping[str, str] | None = None) -> Path:
 
 
 def choose(named: Sequence[str | os.PathLike[str]] = (), environ: Mapping[str, str] | None = None) -> ConfigFiles:
-    """Choose the files of the configuration, without reading them; check_named finds missing ones."""
+    """Choose the files of the configuration without reading them; check_named reports missing files."""
     if named:
         return ConfigFiles("-c", tuple(os.fspath(file) for file in named), ())
     environ = os.environ if environ is None else environ

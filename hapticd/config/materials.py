@@ -52,7 +52,7 @@ _FIRST_LIBRARY_FILE: Final = "okamura1998.yaml"
 MAX_TAP_POINTS: Final = 256
 """Maximum number of `tap.amplitudes`: the core's HD_TAP_POINTS."""
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
-"""Minimum difference of two approach speeds of `tap.amplitudes`."""
+"""Minimum difference of successive approach speeds of `tap.amplitudes`."""
 MAX_PROVENANCE_FILES: Final = 1000
 """Maximum number of recordings that the provenance of a material lists."""
 MAX_REASONS: Final = 64
@@ -68,7 +68,7 @@ TapPoint: TypeAlias = Annotated[
 
 def _rising(interval: tuple[float, float]) -> tuple[float, float]:
     if interval[0] > interval[1]:
-        raise ValueError(f"must not end below its beginning, is {list(interval)}")
+        raise ValueError(f"must be [low, high], low <= high, is {list(interval)}")
     return interval
 
 
@@ -76,7 +76,7 @@ def _a_day(text: str) -> str:
     try:
         datetime.date.fromisoformat(text)
     except ValueError:
-        raise ValueError(f"must be a day, year-month-day, is {quoted(text)}") from None
+        raise ValueError(f"must be a date such as 2026-11-29, is {quoted(text)}") from None
     return text
 
 
@@ -352,10 +352,10 @@ class Material(Model):
         if tap is None:
             other = "or a tap of the material"
         elif isinstance(tap, Tap) and tap.one_mode is None:
-            other = f"as the tap {'is a waveform' if tap.mode_table is None else 'has a mode_table'}"
+            other = f"because the tap {'is a waveform' if tap.mode_table is None else 'has a mode_table'}"
         else:
             return texture
-        raise ValueError(f"needs a mode: its own frequency_hz and decay_time_s, {other}")
+        raise ValueError(f"needs a mode: frequency_hz and decay_time_s of the texture, {other}")
 
     @property
     def fitted(self) -> Mapping[str, FitVerdict]:
@@ -383,7 +383,7 @@ class Material(Model):
         return next(iter(self.groove_modes), None)
 
     def groove_mode_at(self, speed_m_per_s: float, force_n: float) -> Mode | None:
-        """Return the ringing mode of a groove that is crossed at this tangential speed and normal force, if any."""
+        """Return the mode of a groove at this tangential speed and normal force, or None if no groove rings."""
         mode = self.groove_mode
         if mode is None or not isinstance(self.texture, Grooves) or self.texture.frequency_table is None:
             return mode
@@ -399,12 +399,12 @@ Materials: TypeAlias = Mapping[str, Material]
 
 
 def validate_materials(data: object, root: Path = ()) -> dict[str, Material]:
-    """Validate materials by name, given as plain data. Raises InvalidError; `where` starts with `root`, `materials`."""
+    """Validate materials by name, given as plain data. Raises InvalidError with paths that begin with `root`."""
     return finish(material_steps(data, root))
 
 
 def material_steps(data: object, root: Path = ()) -> Steps[dict[str, Material]]:
-    """Validate materials as validate_materials does, with a pause after each: large textures take tens of ms."""
+    """Validate materials as validate_materials does, and pause after each: a large texture takes tens of ms."""
     if not isinstance(data, dict):
         return _parsed(data, root)
     check_count(data, MAX_MATERIALS, (*root, "materials"))
@@ -421,21 +421,21 @@ def _parsed(data: object, root: Path) -> dict[str, Material]:
 
 @cache
 def shipped_materials() -> Materials:
-    """Load the shipped library, every file of `config/materials`, the paper's materials first.
+    """Load the shipped library: all files of `config/materials`, those of Okamura et al. first.
 
-    Raises InvalidError for a fault, and for a material that two files define.
+    Raises InvalidError for a fault in a file, and for a material that two files define.
     """
     library: dict[str, Material] = {}
-    for name in library_files():
-        document = shipped_document(name)
+    for file in library_files():
+        document = shipped_document(file)
         try:
-            found = _Library.parsed(document.data).materials
+            added = _Library.parsed(document.data).materials
         except ValidationError as error:
             raise InvalidError(Problem(document.where(path), text) for path, text in faults_of(error)) from None
-        twice = [Problem(document.where(("materials", each)), "is defined twice") for each in found if each in library]
+        twice = [Problem(document.where(("materials", name)), "is defined twice") for name in added if name in library]
         if twice:
             raise InvalidError(twice)
-        library |= found
+        library |= added
     return MappingProxyType(library)
 
 

@@ -88,7 +88,7 @@ ONE_OF_EACH_PAIR: JsonDict = {
         one_of("decay_time_s", "decay_rate_per_s"),
     ]
 }
-"""JSON Schema of a mode: one key of the frequency, and one of the decay."""
+"""JSON Schema of a mode: exactly one key for the frequency, and one for the decay."""
 
 
 class ModeKeys(CheckedTogether):
@@ -133,7 +133,7 @@ class ModeKeys(CheckedTogether):
 
 
 ONE_DIRECTION: Final[JsonDict] = {"not": given("direction", "angle_rad")}
-"""JSON Schema of at most one key of the direction."""
+"""JSON Schema that allows at most one of `direction` and `angle_rad`."""
 
 
 class AimedKeys(ModeKeys):
@@ -164,15 +164,15 @@ class AimedKeys(ModeKeys):
 MAX_TABLE_POINTS: Final = 16
 """Maximum number of speeds, or forces, of a table: the core's HD_TUNE_POINTS."""
 MIN_TABLE_STEP: Final = 1e-6
-"""Minimum difference of two speeds (in m/s), or two forces (in N), of a table."""
+"""Minimum difference of successive speeds (in m/s) or forces (in N) of a table."""
 
 
 def rising_faults(key: str, points: Sequence[float]) -> Iterator[str]:
     """Yield the fault of the first point less than MIN_TABLE_STEP above its predecessor; `key` names the list."""
     for index, (before, point) in enumerate(pairwise(points)):
         if point < before + MIN_TABLE_STEP:
-            least = f"{MIN_TABLE_STEP:g} above the one before, {before:.15g}"
-            yield f"{key}[{index + 1}] must be at least {least}, is {point:.15g}"
+            limit = f"{MIN_TABLE_STEP:g} above the one before, {before:.15g}"
+            yield f"{key}[{index + 1}] must be at least {limit}, is {point:.15g}"
             return
 
 

@@ -8,8 +8,8 @@ An operator is exactly one of
     gesture: {kind: puncture, object, speed_m_per_s, at_m, height_m}
 
 `at_m`, `from_m` and `to_m` are coordinates along the tangent t = (n_y, -n_x). Their origin is the wall's point, the
-membrane's centre, the middle of the box's upper face, or the disc's top. On a membrane and a box they must not exceed
-its ends. A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. `gesture_waypoints` converts a gesture to straight
+membrane's centre, the middle of the box's upper face, or the disc's top. On a membrane and a box they must lie between
+the ends. A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. `gesture_waypoints` converts a gesture to straight
 lines, which depend only on the object, the hand and the hand's position.
 """
 
@@ -47,7 +47,7 @@ Point: TypeAlias = tuple[float, float]
 MAX_WAYPOINTS: Final = 100_000
 """Maximum number of waypoints of an operator."""
 MIN_STEP_S: Final = 1e-5
-"""Minimum time between two waypoints, so that few of them fall into one tick."""
+"""Minimum time between two waypoints, so that a tick contains only a few."""
 MAX_TIME_S: Final = 86_400.0
 """Maximum time of a waypoint: one day."""
 MAX_CSV_BYTES: Final = 16 * 1024 * 1024
@@ -58,7 +58,7 @@ TRAVEL_SPEED_M_PER_S: Final = 0.15
 LOWERING_SPEED_M_PER_S: Final = 0.02
 """Speed at which the hand is lowered for a stroke; a tap at this speed cannot be felt."""
 PRESS_TIME_S: Final = 0.15
-"""Time for which a tap presses and a puncture stays inside; all modes of the library have decayed by then."""
+"""Time for which the hand stays at the depth of a tap or puncture, until all modes of the library have decayed."""
 SPEED_TOLERANCE: Final = 0.01
 """Maximum relative deviation of the handle's speed at contact from the speed that the gesture commands."""
 CLEARANCE_HEIGHT_M: Final = 0.005
@@ -254,8 +254,7 @@ def load_operator(path: str | os.PathLike[str]) -> Operator:
     """Load an operator (motion of the simulated hand) from a file: CSV or JSON by its ending, YAML otherwise.
 
     A CSV file may have a header line; its waypoints are joined by straight lines.
-    Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be
-    read.
+    Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be read.
     """
     name = os.fspath(path)
     ending = os.path.splitext(name)[1].lower()
@@ -275,8 +274,8 @@ def gesture_waypoints(
 ) -> npt.NDArray[np.float64]:
     """Return the waypoints of a gesture, rows [t_s, x_m, y_m], shape (n, 3).
 
-    The first row has t > 0. From `reference_m` the hand first moves out along the normal, if it is below the gesture's
-    height, then to the beginning of the gesture, where it stops. Raises InvalidError.
+    The first row has t > 0. If `reference_m` is below the gesture's height, the hand first moves out along the normal.
+    The hand then moves to the beginning of the gesture and stops there. Raises InvalidError.
     """
     if grip.stiffness_n_per_m <= 0:
         problem = "needs a hand that holds the handle: device.sim.hand.stiffness_n_per_m above 0"
@@ -295,7 +294,7 @@ def gesture_waypoints(
             _puncture(gesture, target, grip, path)
     rows = np.array(path.rows, dtype=np.float64)
     if not (np.isfinite(rows).all() and rows[-1, 0] <= MAX_TIME_S and len(rows) <= MAX_WAYPOINTS):
-        problem = f"would last {rows[-1, 0]:g} s or go out of reach; at most {MAX_TIME_S:g} s"
+        problem = f"would last {rows[-1, 0]:g} s in {len(rows)} waypoints; at most {MAX_TIME_S:g} s in {MAX_WAYPOINTS}"
         raise InvalidError([Problem("gesture", problem)])
     return rows
 
@@ -394,7 +393,7 @@ def _puncture(gesture: PunctureGesture, target: Target, grip: Grip, path: _Path)
 
 
 def _parse(document: Document) -> Operator:
-    """Validate a document as an operator. Raises InvalidError with every fault."""
+    """Return the operator in a document. Raises InvalidError with every fault."""
     if not isinstance(document.data, dict):
         raise InvalidError([document.problem((), "must be a mapping with waypoints or gesture")])
     try:

@@ -40,7 +40,7 @@ MAX_SCENE_PATCHES: Final = 5000
 MIN_PATCH_M: Final = 1e-5
 """Minimum width of a patch, and of a gap between patches."""
 TOUCHING_DISTANCE_M: Final = 1e-9
-"""Edges of patches that are nearer than this touch, since 0.1 + 0.2 is not 0.3 in floating point."""
+"""Edges of patches at a smaller distance count as touching, since 0.1 + 0.2 is not 0.3 in floating point."""
 _ROUNDING_OF_WIDTHS: Final = 1e-6
 """Relative tolerance of the minimum width MIN_PATCH_M, for rounding."""
 _MAX_SHOWN_OVERLAPS: Final = 5
@@ -50,7 +50,7 @@ MIN_NORMAL_LENGTH = 1e-9
 MAX_NORMAL_COMPONENT = 1e9
 """Maximum magnitude of a normal's component before normalization."""
 UNIT_LENGTH_TOLERANCE: Final = 4 * 2.0**-52
-"""A vector whose length is this near to 1 is a unit vector."""
+"""Maximum difference between 1 and the length of a unit vector."""
 
 
 def _unit(vector: tuple[float, float]) -> tuple[float, float]:
@@ -141,9 +141,9 @@ class Wall(Model):
     )
 
     def stretches(self) -> tuple[list[float], list[str]]:
-        """Return the start coordinates and the materials of all sections of the wall, in rising order.
+        """Return the start coordinates in m and the materials of all sections of the wall, in rising order.
 
-        Sections are the patches and the base material between them. The first begins at -inf, the last has no end.
+        Sections are the patches and the base material between them. The first starts at -inf, the last has no end.
         """
         begins, materials = [-math.inf], [self.material]
         for index in patches_in_order(self.patches):
@@ -273,14 +273,14 @@ def of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObjec
 
     It has the objects with several materials, and the first object of each other material.
     """
-    found: dict[str, SceneObject] = {}
+    selected: dict[str, SceneObject] = {}
     seen: set[str] = set()
     for id, item in objects.items():
         names = material_names(item)
         if len(names) > 1 or not seen.issuperset(names):
             seen.update(names)
-            found[id] = item
-    return found
+            selected[id] = item
+    return selected
 
 
 class Display(Model):
@@ -327,8 +327,8 @@ class Scene(Model):
     def with_objects(self, changes: Mapping[str, SceneObject | None]) -> "Scene":
         """Return this scene with objects added or replaced, and those given as None removed.
 
-        The objects must be validated (see validate_object); unchanged objects are shared.
-        Raises InvalidError for more than MAX_OBJECTS objects, or MAX_SCENE_PATCHES patches.
+        The objects must be validated (see validate_object); unchanged objects are shared. Raises InvalidError for more
+        than MAX_OBJECTS objects or MAX_SCENE_PATCHES patches.
         """
         objects = dict(self.objects)
         for name, changed in changes.items():
@@ -384,7 +384,7 @@ def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[S
 
 
 def validate_scene(data: object, root: Path = ()) -> Scene:
-    """Validate a scene, given as plain data. Raises InvalidError; `where` begins with `root`."""
+    """Validate a scene, given as plain data. Raises InvalidError with paths that begin with `root`."""
     return finish(scene_steps(data, root))
 
 
@@ -420,7 +420,7 @@ def _parsed(data: object, root: Path) -> Scene:
 
 
 def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
-    """Validate an object, given as plain data. Raises InvalidError; `where` starts with `root`, `objects`, `name`."""
+    """Validate an object, given as plain data. Raises InvalidError with paths that begin with `root`."""
     return _parsed({"objects": {name: data}}, root).objects[name]
 
 
@@ -447,5 +447,5 @@ def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[s
 def reference_problems(
     objects: Mapping[str, SceneObject], materials: Collection[str], root: Path = ()
 ) -> list[Problem]:
-    """Return the faults of objects with unknown materials as problems; `where` begins with `root`, then `objects`."""
+    """Return a problem for each unknown material of an object; its path begins with `root`, then `objects`."""
     return [Problem(path_text(root + path), text) for path, text in reference_faults(objects, materials)]

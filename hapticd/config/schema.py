@@ -43,13 +43,13 @@ def unit_suffix_of(key: str) -> str:
 
 
 def closed(schema: Json) -> Json:
-    """Return a JSON Schema that allows only keys matching a mapping's pattern; that of pydantic also allows others."""
+    """Return a JSON Schema whose mappings allow only keys that match their pattern; pydantic's also allows others."""
     if isinstance(schema, list):
         return [closed(each) for each in schema]
     if not isinstance(schema, dict):
         return schema
-    found = {key: closed(value) for key, value in schema.items()}
-    return {**found, "additionalProperties": False} if isinstance(found.get("patternProperties"), dict) else found
+    inner = {key: closed(value) for key, value in schema.items()}
+    return {**inner, "additionalProperties": False} if isinstance(inner.get("patternProperties"), dict) else inner
 
 
 def config_schema() -> dict[str, Json]:

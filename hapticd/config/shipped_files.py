@@ -24,14 +24,14 @@ _MAX_SUGGESTIONS: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class ShippedScene:
-    """A shipped file (scene, study or sweep), with the description in its first comment."""
+class ShippedFile:
+    """A shipped file, with the description in its first comment."""
 
     name: str
     shows: str
     """Description, one sentence."""
     operator: str | None
-    """Name of the shipped operator for this scene."""
+    """Name of the shipped operator for a scene; None for other files."""
     file: str
 
     def to_dict(self) -> dict[str, str | None]:
@@ -56,29 +56,29 @@ def shipped(folder: Folder) -> dict[str, str]:
     return {path.stem: str(path) for path in files}
 
 
-def shipped_scenes() -> list[ShippedScene]:
+def shipped_scenes() -> list[ShippedFile]:
     """Return the shipped scenes, sorted by name."""
     return described("scenes")
 
 
-def described(folder: Folder) -> list[ShippedScene]:
+def described(folder: Folder) -> list[ShippedFile]:
     """Return the shipped files of a folder, sorted by name, with their descriptions."""
     return [_described(name, file) for name, file in shipped(folder).items()]
 
 
-def _described(name: str, file: str) -> ShippedScene:
+def _described(name: str, file: str) -> ShippedFile:
     lines = Path(file).read_text(encoding="utf-8").splitlines()
     end = next((row for row, line in enumerate(lines) if not line.startswith("#")), len(lines))
     comment = " ".join(line.lstrip("#").strip() for line in lines[:end])
     operator = re.search(r"\bOperator: (\w+)\.yaml", comment)
     sentence = re.match(r".*?\.(?=\s|$)", comment)
-    return ShippedScene(name, sentence[0] if sentence else comment, operator[1] if operator else None, file)
+    return ShippedFile(name, sentence[0] if sentence else comment, operator[1] if operator else None, file)
 
 
 def file_of(text: str, folder: Folder) -> str:
     """Return the path of the file that `text` names: an existing file, or a shipped one. `-` is the standard input.
 
-    Raises HapticdError for a name without folder that is neither. Another path is returned even if it does not exist.
+    Raises HapticdError for a mere name that is neither. A path is returned even if the file does not exist.
     """
     if text == "-":
         return "/dev/stdin"

@@ -42,7 +42,7 @@ from hapticd.config.modes import (
 MAX_ORDER: Final = 32
 """Maximum order p of an autoregressive model."""
 MAX_MODELS: Final = 64
-"""Maximum number of models of a texture."""
+"""Maximum number of autoregressive models of a texture."""
 MAX_SEED: Final = 2**53
 """Maximum seed of a texture's noise: the largest integer that a JSON number holds exactly."""
 MAX_RMS_M_PER_S2: Final = 1e6
@@ -65,7 +65,7 @@ _KEYS_OF: Final[dict[Display, tuple[str, ...]]] = {
 
 
 def _displayed(display: Display) -> JsonDict:
-    """Return the JSON Schema of a display: it requires its keys, and forbids those of other displays."""
+    """Return the JSON Schema rule of a display: its keys are required, those of other displays are forbidden."""
     others = (key for other, keys in _KEYS_OF.items() if other != display for key in keys)
     rules: list[JsonValue] = [absent(*others)]
     if display == "vibration":
@@ -225,14 +225,14 @@ class Grooves(CheckedTogether):
         for display, keys in _KEYS_OF.items():
             if display != self.display:
                 faults += [
-                    f"{key} belongs to display {display}, this one is {self.display}"
+                    f"{key} belongs to display {display}, but display is {self.display}"
                     for key in keys
                     if key in self.model_fields_set and getattr(self, key) is not None
                 ]
         match self.display:
             case "vibration":
                 if not any(getattr(self, key) > 0 for key in _GAIN_KEYS):
-                    faults.append(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise it is silent")
+                    faults.append(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise the texture is silent")
                 faults += self._mode_faults()
             case "geometry" if self.depth_m is None:
                 faults.append("needs depth_m to be displayed as geometry")
@@ -268,7 +268,7 @@ class Stochastic(Model):
     @model_validator(mode="after")
     def _is_not_silent(self) -> Self:
         if max(self.velocity_gain_per_s, self.force_gain_m_per_s2_per_n) <= 0:
-            raise ValueError(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise it is silent")
+            raise ValueError(f"needs {_GAIN_KEYS[0]} or {_GAIN_KEYS[1]} above 0; otherwise the texture is silent")
         return self
 
 
@@ -290,7 +290,7 @@ class AutoregressiveModel(CheckedTogether):
     )
 
     def level(self, reflection: Sequence[float]) -> float:
-        """Return the RMS of the noise x in m/s^2: that given, or sqrt(variance / prod(1 - k^2)), k in `reflection`."""
+        """Return the RMS of x in m/s^2: as given, or sqrt(variance / prod(1 - k^2)) for reflection coefficients k."""
         if self.rms_m_per_s2 is not None:
             return self.rms_m_per_s2
         assert self.variance_m2_per_s4 is not None

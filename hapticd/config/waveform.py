@@ -98,7 +98,7 @@ class Curve:
 
     @cached_property
     def _peaks(self) -> tuple[Floats, Floats]:
-        """Largest magnitude of the cubic between two samples, for each, and its relative position there, 0 to 1."""
+        """Largest magnitude of each cubic between two samples, and its relative position between them, 0 to 1."""
         places = np.zeros((4, len(self._begin)))
         places[1] = 1.0
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -139,7 +139,7 @@ class Curve:
         return known[1]
 
     def peaks_from(self, parts: int) -> Floats:
-        """Return, for each of `parts` equal parts of the curve, an upper bound of |s| from the part's start to the end.
+        """Return upper bounds of |s| from the start of each of `parts` equal parts of the curve to its end.
 
         The shape is (parts,). A cubic in which a part starts counts completely.
         """

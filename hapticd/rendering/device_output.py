@@ -106,4 +106,4 @@ def loop_of(
 def _lagging(device: Device, timing: Timing) -> Timing:
     """Return the timing with the actuator's lag added, if that is known."""
     known = device.lag
-    return timing if known is None else timing.with_actuator(*known.shares())
+    return timing if known is None else timing.with_actuator(*known.moments())

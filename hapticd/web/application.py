@@ -25,22 +25,22 @@ from hapticd.web.telemetry_hub import TelemetryHub
 STATIC_FOLDER: Final = Path(__file__).parent / "static"
 """Folder of the page's HTML, scripts and styles."""
 MAX_OPEN_PAGES: Final = 32
-"""Pages that may be open at a time. docs/web.md states it."""
+"""Maximum number of open pages; docs/web.md states it."""
 _PING_INTERVAL_S: Final = 2.0 * PAGE_READ_TIMEOUT_S
-"""Time from the last message of a page to a ping; aiohttp waits half of it for the pong."""
+"""Time from the last message of a page to a ping. aiohttp waits half this time for the pong."""
 _CLOSE_TIMEOUT_S: Final = 5.0
 """Time that a page has to answer a closing frame."""
 _SEND_BUFFER_BYTES: Final = 256 << 10
-"""Size of the kernel's send buffer of a page. A larger one would only hold older data for a slow page."""
+"""Size of the kernel's send buffer of a page. A larger buffer would only hold older data for a slow page."""
 
 WEB_PAGE_METHODS: Final[dict[str, Method]] = {
     **page_methods.BASE_PAGE_METHODS,
     **yaml_methods.YAML_PAGE_METHODS,
     **shipped_materials.SHIPPED_MATERIALS_PAGE_METHODS,
 }
-"""Methods of this process that a page may call, by name, without those of recordings.
+"""Methods of this process that a page may call, by name, except the methods for recordings.
 
-Each group is a table in a separate file, added here.
+Each group of methods is a table in a separate file.
 """
 
 _log = logging.getLogger("hapticd.web")
@@ -53,13 +53,13 @@ class Pages:
     place: RuntimePaths
     hub: TelemetryHub
     control: Client
-    """Connection to the daemon for the leases and stops of all pages, so that no other call delays them."""
+    """Separate connection to the daemon for the leases and stops of all pages, which other calls cannot delay."""
     demo: bool
     new_address: Callable[[], str]
     recordings: Recordings | None = None
     """Recordings of this process; None: pages cannot record."""
     methods: Mapping[str, Method] = field(default_factory=lambda: WEB_PAGE_METHODS)
-    """Methods of this process that pages may call, without those of recordings."""
+    """Methods of this process that pages may call, except the methods for recordings."""
     daemon_methods: frozenset[str] = page_calls.DAEMON_METHODS
     """Methods of the daemon that pages may call."""
     open: set[Page] = field(default_factory=set)
@@ -142,7 +142,7 @@ class Site:
     index: Path
     """HTML file of the page at /."""
     add_routes: Callable[[web.Application], None]
-    """Adds the routes that this page requests, except static/."""
+    """Adds the routes that the page at / requests, except static/."""
 
 
 def application(guard: Guard, connections: Connections, site: Site) -> web.Application:

@@ -16,33 +16,33 @@ from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
 MAX_BROWSER_CONNECTIONS: Final = 128
-"""Most connections of all browsers together. docs/web.md states it."""
+"""Maximum number of connections of all browsers together; docs/web.md states it."""
 REQUEST_TIMEOUT_S: Final = 30.0
 """Time from the connection, or from the last response, until the headers of the next request must be complete."""
 RESPONSE_TIMEOUT_S: Final = 30.0
 """Time in which a response, or the next block of a file, must be transferred."""
 _SWEEP_INTERVAL_S: Final = 1.0
-"""Interval in which overdue connections are closed."""
+"""Interval at which overdue connections are closed."""
 _DEADLINE_EXTENDER: Final[ContextVar[Callable[[], None]]] = ContextVar("deadline_extender", default=lambda: None)
 """Extends the deadline of the current request; Connections.middleware sets it."""
 
 
 def extend_deadline() -> None:
-    """Give the current request another RESPONSE_TIMEOUT_S. A handler calls it after each block of a file."""
+    """Give the current request another RESPONSE_TIMEOUT_S; handlers call this function after each block of a file."""
     _DEADLINE_EXTENDER.get()()
 
 
 class Connections:
-    """The browser connections of one server. For the event loop."""
+    """The browser connections of one server. Only the event loop may use them."""
 
     def __init__(
         self,
-        most: int = MAX_BROWSER_CONNECTIONS,
+        limit: int = MAX_BROWSER_CONNECTIONS,
         request_s: float = REQUEST_TIMEOUT_S,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Allow `most` connections of browsers, each of which must send a request within `request_s`."""
-        self._most, self._request_s, self._now = most, request_s, now
+        """Allow `limit` connections of browsers, each of which must send a request within `request_s`."""
+        self._limit, self._request_s, self._now = limit, request_s, now
         self._open: dict[_Connection, float] = {}
         """The time at which each open connection is closed; 0: never."""
         self.refused = 0
@@ -54,12 +54,12 @@ class Connections:
         return len(self._open)
 
     def factory(self, server: Callable[[], asyncio.BaseProtocol]) -> Callable[[], asyncio.BaseProtocol]:
-        """Return a factory of protocols for `create_server` that wrap those of aiohttp's `server`."""
+        """Return a factory of protocols for `create_server` that wrap the protocols of aiohttp's `server`."""
         return lambda: _Connection(cast(asyncio.Protocol, server()), self)
 
     def opened(self, connection: _Connection) -> bool:
-        """Add a new connection, and return False if there are already as many as allowed."""
-        if len(self._open) >= self._most:
+        """Add a new connection and return True; if the maximum number is open, return False."""
+        if len(self._open) >= self._limit:
             self.refused += 1
             return False
         self._open[connection] = self._now() + self._request_s
@@ -84,12 +84,12 @@ class Connections:
             self.sweep()
 
     def middleware(self) -> Middleware:
-        """Return the middleware that limits the time of each response. It must be the first middleware."""
+        """Return the middleware that limits the time of each response; it must come before all other middlewares."""
 
         @web.middleware
         async def timed(request: web.Request, handler: Handler) -> web.StreamResponse:
-            found = request.transport.get_protocol() if request.transport is not None else None
-            connection = found if isinstance(found, _Connection) and found in self._open else None
+            protocol = request.transport.get_protocol() if request.transport is not None else None
+            connection = protocol if isinstance(protocol, _Connection) and protocol in self._open else None
             if connection is None:
                 return await handler(request)
             _DEADLINE_EXTENDER.set(lambda: self._rearm(connection, RESPONSE_TIMEOUT_S))
@@ -117,28 +117,28 @@ class _Connection(asyncio.Protocol):
     def __init__(self, inner: asyncio.Protocol, connections: Connections) -> None:
         self._inner, self._connections = inner, connections
         self._transport: asyncio.Transport | None = None
-        self._taken = False
-        # Callbacks for each piece of data are those of aiohttp, without a detour.
+        self._accepted = False
+        # The callbacks for data are aiohttp's own, which saves a call for each piece of data.
         self.data_received = inner.data_received  # type: ignore[method-assign]
         self.pause_writing = inner.pause_writing  # type: ignore[method-assign]
         self.resume_writing = inner.resume_writing  # type: ignore[method-assign]
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
-        self._taken = self._connections.opened(self)
-        if self._taken:
+        self._accepted = self._connections.opened(self)
+        if self._accepted:
             self._inner.connection_made(transport)
         else:
             self.data_received = lambda data: None  # type: ignore[method-assign]
             self._transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self._taken:
+        if self._accepted:
             self._connections.closed(self)
             self._inner.connection_lost(exc)
 
     def eof_received(self) -> bool | None:
-        return self._inner.eof_received() if self._taken else None
+        return self._inner.eof_received() if self._accepted else None
 
     def abort(self) -> None:
         """Close the connection at once; unsent data is lost."""

@@ -22,11 +22,11 @@ from hapticd.protocol.messages import Code, Id, Request
 from hapticd.system.paths import RuntimePaths
 
 _CONNECT_TIMEOUT_S: Final = 1.0
-"""Time that a request waits while no daemon is connected: it may be starting."""
+"""Time that a request waits for a daemon to connect, which may be starting."""
 
 
 class DaemonRelay:
-    """The connection of one page to the daemon. For the running event loop."""
+    """The connection of one page to the daemon. Only the running event loop may use it."""
 
     def __init__(
         self, place: RuntimePaths, answer: Callable[[bytes], None], timeout_s: float = REPLY_TIMEOUT_S
@@ -101,7 +101,7 @@ class DaemonRelay:
                 self._answer(body)
 
     async def close(self) -> None:
-        """Close the connection to the daemon, which still carries out calls under way; their answers are dropped."""
+        """Close the connection. The daemon still carries out the calls under way; their answers are dropped."""
         tasks = [task for task in (self._reader, self._sender) if task is not None]
         for task in tasks:
             task.cancel()
@@ -113,7 +113,7 @@ class DaemonRelay:
 
 
 def id_of(body: bytes) -> Id:
-    """Return the id of an answer of the daemon."""
+    """Return the id in the msgpack body of an answer of the daemon; None if there is no id."""
     scanner = msgpack.Unpacker(max_buffer_size=max(len(body), 1), raw=False)
     scanner.feed(body)
     for _ in range(scanner.read_map_header()):

@@ -1,4 +1,4 @@
-"""A separate daemon for `hapticd web --demo`: the simulated joystick in the scene of DEMO_CONFIG_PATH."""
+"""The separate daemon of `hapticd web --demo`: the simulated joystick in the scene of DEMO_CONFIG_PATH."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _READY_TIMEOUT_S: Final = 60.0
 _END_TIMEOUT_S: Final = 5.0
 """Time in which the daemon must end after SIGTERM, before it is killed."""
 _MAX_SHOWN_LOG_LINES: Final = 20
-"""Last lines of the daemon's log that an error shows."""
+"""Maximum number of lines from the end of the daemon's log that an error shows."""
 _PR_SET_PDEATHSIG: Final = 1
 """Option of prctl(2): the signal that a process gets when its parent ends."""
 
 
 class DemoDaemon:
-    """`hapticd run` in a temporary folder, as long as the context lasts. Its log is shown only if it fails."""
+    """A daemon in a temporary folder that runs while the context lasts. Its log is shown only if it fails."""
 
     def __init__(self, configs: Sequence[str] = ()) -> None:
-        """Use the files `configs`, of which later ones override earlier ones, or DEMO_CONFIG_PATH without any."""
+        """Run with the files `configs`, where later files override earlier ones, or with DEMO_CONFIG_PATH if empty."""
         self._configs = configs or (str(DEMO_CONFIG_PATH),)
 
     def __enter__(self) -> Self:
@@ -99,7 +99,7 @@ class DemoDaemon:
 
 
 def _end_with_parent(parent: int) -> Callable[[], None]:
-    """Return a function that makes the child process end with its parent, even if that is killed by SIGKILL."""
+    """Return a function that makes the child process end with its parent, even if SIGKILL ends the parent."""
     import ctypes  # imported only here: it needs memory that is writable and executable
 
     prctl = ctypes.CDLL(None, use_errno=True).prctl

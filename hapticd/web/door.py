@@ -1,6 +1,6 @@
 """The pages for a browser without access: how to get an address, or the password form.
 
-They are plain HTML without a script. Their style is static/door.css, which is served without access, too.
+The pages are plain HTML without a script. Their style, static/door.css, is also served without access.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def continue_page() -> str:
 
 
 def redirect_page(address: str) -> str:
-    """Return a page that leads to `address`, for a file that a browser opens."""
+    """Return a page that redirects to `address`, for a local file that a browser opens."""
     body = f'<p><a href="{escape(address)}">Open the page</a></p>'
     head = f'\n<meta http-equiv="refresh" content="0; url={escape(address)}">'
     return _PAGE_TEMPLATE.format(title="hapticd", head=head, body=body).replace(

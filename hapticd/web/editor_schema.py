@@ -41,7 +41,7 @@ _TEXTURE_KINDS: Final = ("grooves", "stochastic", "autoregressive")
 def editor_schema() -> dict[str, Json]:
     """Return the answer of `web.schema`: the JSON Schema of materials, objects and scene, with units."""
     every = cast("dict[str, dict[str, Json]]", config_schema()["$defs"])
-    by_kind = {kind: name for name, found in every.items() for kind in _kinds(found)}
+    by_kind = {kind: name for name, definition in every.items() for kind in _kinds(definition)}
     wanted, definitions = ["Material", "Scene"], {}
     while wanted:
         name = wanted.pop()
@@ -80,20 +80,20 @@ def _referred(tree: Json) -> Iterator[str]:
 
 
 def _simple(tree: Json) -> Json:
-    """Return a JSON Schema with units as members, and without null, defaults of null and combinations."""
+    """Return a JSON Schema with units as members, without null values, null defaults and rules on combinations."""
     if isinstance(tree, list):
         return [_simple(value) for value in tree]
     if not isinstance(tree, dict):
         return tree
     rules = _COMBINATION_KEYWORDS if "properties" in tree else ()
-    found = {key: _simple(value) for key, value in tree.items() if key not in rules}
-    choices = found.get("anyOf")
+    simple = {key: _simple(value) for key, value in tree.items() if key not in rules}
+    choices = simple.get("anyOf")
     if isinstance(choices, list) and _NULL_SCHEMA in choices and len(choices) == 2:
-        del found["anyOf"]
-        if found.get("default", 0) is None:
-            del found["default"]
-        found = {**next(cast("dict[str, Json]", choice) for choice in choices if choice != _NULL_SCHEMA), **found}
-    properties = found.get("properties")
+        del simple["anyOf"]
+        if simple.get("default", 0) is None:
+            del simple["default"]
+        simple = {**next(cast("dict[str, Json]", choice) for choice in choices if choice != _NULL_SCHEMA), **simple}
+    properties = simple.get("properties")
     if isinstance(properties, dict):
         for key, described in properties.items():
             unit = unit_of(key)
@@ -101,4 +101,4 @@ def _simple(tree: Json) -> Json:
                 text = cast(str, described["description"])
                 described["description"] = re.sub(rf" In {re.escape(unit)}\.$", "", text)
                 described["unit"] = unit
-    return found
+    return simple

@@ -1,4 +1,4 @@
-"""Checks of the Host and the Origin of requests.
+"""Checks of the headers Host and Origin of requests.
 
 Another site may let its name resolve to this machine (DNS rebinding). Requests of its pages have that name as Host and
 are refused. Names and addresses are compared as texts; browsers write each address in one way.
@@ -31,7 +31,7 @@ class Hosts:
         self._scheme = "https://" if secure else "http://"
 
     def _known(self, authority: str) -> str | None:
-        """Return `authority` as name and port if these are a name and the port of this server, else None."""
+        """Return `authority` as NAME:PORT if this server has this name and port, else None."""
         match = _AUTHORITY_PATTERN.fullmatch(authority.lower())
         if match is None or int(match[2] or self._default) != self._port:
             return None

@@ -16,14 +16,14 @@ from hapticd.web.hosts import Hosts
 from hapticd.web.passwords import Passwords
 
 _LISTEN_BACKLOG: Final = 64
-"""Connections that the kernel queues until they are accepted."""
+"""Number of connections that the kernel queues until the server accepts them."""
 _MAX_PEM_FILE_BYTES: Final = 1 << 20
-"""Largest certificate or key file."""
+"""Maximum size of a certificate or key file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """A bound socket, the names that it is served under, and its access rules."""
+    """A bound socket, the host names and the address of its server, and the server's access rules."""
 
     socket: socket.socket
     hosts: Hosts
@@ -54,12 +54,12 @@ def listen(host: str, port: int, cert: str | None, key: str | None, password_fil
 
 def _address_of(host: str, port: int) -> str:
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        infos = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (OSError, UnicodeError) as error:
         raise HapticdError(f"--host {printable(host)}: {getattr(error, 'strerror', None) or error}") from None
     if host.lower() == "localhost":
         return "127.0.0.1"
-    return str(found[0][4][0])
+    return str(infos[0][4][0])
 
 
 def _require_options(host: str, loopback: bool, cert: str | None, key: str | None, password_file: str | None) -> None:
@@ -132,8 +132,8 @@ def _names_in(cert: str, server: ssl.SSLContext) -> list[str]:
                 side.do_handshake()
             except ssl.SSLWantReadError:
                 continue
-        found = there.getpeercert() or {}
-        subjects = cast("tuple[tuple[str, str], ...]", found.get("subjectAltName", ()))
+        certificate = there.getpeercert() or {}
+        subjects = cast("tuple[tuple[str, str], ...]", certificate.get("subjectAltName", ()))
     except ssl.SSLError as error:
         why = getattr(error, "verify_message", None) or error.reason or error
         raise HapticdError(f"--tls-cert {printable(cert)}: browsers would refuse it: {why}") from None

@@ -22,7 +22,7 @@ from hapticd.protocol import messages
 from hapticd.web.telemetry_hub import TelemetryHub
 
 LOCAL_ADDRESS: Final = "127.0.0.1"
-"""The address of the metrics: this machine only, because they are not encrypted."""
+"""The address of the metrics: this machine only, because metrics are sent without encryption."""
 
 _log = logging.getLogger("hapticd.web")
 

@@ -16,7 +16,7 @@ import click
 from hapticd.web import door
 
 _SCREEN_VARIABLES: Final = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-"""Environment variables of which one must be set for a browser to open."""
+"""A browser can be opened only if one of these environment variables is set."""
 _OPENER_SCRIPT: Final = "import sys, webbrowser; sys.exit(not webbrowser.open(sys.argv[1]))"
 """Python program that opens its argument in a browser."""
 

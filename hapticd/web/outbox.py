@@ -1,7 +1,7 @@
 """The queue of messages to a page: answers, news and telemetry.
 
-Answers and news are sent first and in their order; a page that reads too few of them is closed. Telemetry is sent after
-them; beyond a limit its oldest messages are dropped.
+Answers and news are sent first and in order; a page that reads them too slowly is closed. Telemetry is sent after them;
+beyond a limit its oldest messages are dropped.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from collections import Counter, deque
 from typing import Final
 
 MAX_WAITING_ANSWERS: Final = 512
-"""Waiting answers and news above which a page is closed."""
+"""Maximum number of waiting answers and news; beyond it the page is closed."""
 MAX_WAITING_ANSWER_BYTES: Final = 16 << 20
-"""Size of the waiting answers and news above which a page is closed."""
+"""Maximum size of the waiting answers and news; beyond it the page is closed."""
 MAX_WAITING_BY_TOPIC: Final = {"samples": 100, "state": 1, "status": 1, "event": 500, "change": 100}
 """Messages of each topic that may wait: two seconds of samples, but only the newest state and status.
 
@@ -22,11 +22,11 @@ Older messages are dropped. The page sees the gap in `first_tick`, and gets the 
 
 
 class OutboxFullError(Exception):
-    """Too many answers wait: the page does not read them."""
+    """Too many answers or news wait for a page that does not read them."""
 
 
 class _Waiting:
-    """A message of telemetry that waits to be sent; `message` is empty once it was dropped."""
+    """A message of telemetry that waits to be sent; after it was dropped, `message` is empty."""
 
     __slots__ = ("message", "topic")
 
@@ -35,7 +35,7 @@ class _Waiting:
 
 
 class Outbox:
-    """The queue of messages to one page. For the event loop."""
+    """The queue of messages to one page. Only the event loop may use it."""
 
     def __init__(self) -> None:
         """Make an empty queue."""

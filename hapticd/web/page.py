@@ -55,7 +55,7 @@ A page that loads on a slow machine reads nothing for seconds. Forces end earlie
 _CLOSE_GRACE_S: Final = 0.3
 """Time in which waiting messages are still sent to a page that is being closed."""
 _MESSAGES_PER_TURN: Final = 32
-"""Messages of a page after which other tasks of the event loop run."""
+"""Number of messages of a page after which other tasks of the event loop run."""
 _NEWS_INTERVAL_S: Final = 1.0
 """Interval of the news `dropped` and `refused`."""
 _MAX_SAFETY_CALL_BYTES: Final = 4096
@@ -178,15 +178,15 @@ class Page:
     # ---- Messages of the page ----------------------------------------------------------------------------------------
 
     async def _receive(self) -> None:
-        taken = 0
+        count = 0
         async for message in self._socket:
             if message.type is not WSMsgType.BINARY:
                 await self._socket.close(code=WSCloseCode.UNSUPPORTED_DATA, message=b"messages are binary: msgpack")
                 return
             self.received(message.data)
             wait_s = self._limits.pace(len(message.data))
-            taken += 1
-            if wait_s > 0.0 or taken % _MESSAGES_PER_TURN == 0:
+            count += 1
+            if wait_s > 0.0 or count % _MESSAGES_PER_TURN == 0:
                 await asyncio.sleep(wait_s)
 
     def received(self, body: bytes) -> None:
@@ -197,7 +197,7 @@ class Page:
         elif request.method not in self._daemon_methods and request.method not in self._methods:
             self._refuse(request, Code.NO_SUCH_METHOD, f"no method {request.method!r:.60} for a page", "method")
         elif request.method in page_calls.STREAM_METHODS and not request.has_id:
-            if not self._limits.streams.take_if_there(1):
+            if not self._limits.streams.try_take(1):
                 self.refused["streams"] += 1
             elif not self._relay.notify(body):
                 self.refused["no daemon"] += 1
@@ -239,7 +239,7 @@ class Page:
                 request, RATE_LIMIT_CODE, f"{MAX_PENDING_CALLS} calls of this page are already under way", "calls"
             )
             return False
-        if not self._limits.calls.take_if_there(1):
+        if not self._limits.calls.try_take(1):
             self._refuse(request, RATE_LIMIT_CODE, "too many calls a second of this page", "calls")
             return False
         return True

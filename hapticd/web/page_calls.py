@@ -1,4 +1,4 @@
-"""The methods of the daemon that a page may call. All others are refused, also those that the daemon gets later."""
+"""The methods of the daemon that a page may call. All others are refused, also methods that are added later."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ FORWARDED_METHODS: Final = frozenset(
         "mark",
     )
 )
-"""Methods that are passed on unchanged.
+"""Methods of the daemon whose calls are passed on unchanged.
 
 `reload` and `dump_flight` are not among them, because they read and write files on the daemon's machine.
 """
 
 STREAM_METHODS: Final = frozenset(("stream_target", "stream_force"))
-"""Methods of streams: notifications with a separate rate limit."""
+"""Methods of the daemon for streams: notifications with a separate rate limit."""
 
 SAFETY_METHODS: Final = frozenset(("lease", "set_forces"))
 """Methods whose params page_lease.py reads."""

@@ -29,11 +29,11 @@ class PageLease:
 
     @property
     def held(self) -> bool:
-        """Whether the page's lease has not lapsed. Its duration is counted from before the request to the daemon."""
+        """Whether the page holds a lease. Its duration counts from the moment before the request to the daemon."""
         return self._now() < self._until
 
     async def lease(self, params: Mapping[str, object]) -> object:
-        """Take, renew or end the page's lease by the daemon's `lease`, for at most MAX_PAGE_LEASE_S."""
+        """Begin, renew or end the page's lease with the daemon's method `lease`, for at most MAX_PAGE_LEASE_S."""
         given = params.get("duration_s")
         # The daemon refuses values that are not numbers.
         duration_s = given if isinstance(given, int | float) and not isinstance(given, bool) else 0

@@ -9,15 +9,15 @@ from typing import Final
 from hapticd.web.token_bucket import Bucket
 
 MAX_STREAMS_PER_S: Final = 2000.0
-"""Streamed messages a second; others are refused."""
+"""Maximum rate of streamed messages; messages beyond it are refused."""
 MAX_CALLS_PER_S: Final = 200.0
-"""Calls a second; others are refused."""
+"""Maximum rate of calls; calls beyond it are refused."""
 MAX_PENDING_CALLS: Final = 64
-"""Calls that may wait for their answer; others are refused."""
+"""Maximum number of calls that wait for their answer; calls beyond it are refused."""
 MAX_MESSAGES_PER_S: Final = 8000.0
-"""Messages a second that are read; others wait in the network buffers of the page."""
+"""Maximum rate at which messages are read; further messages wait in network buffers."""
 MAX_RECEIVED_BYTES_PER_S: Final = 8.0 * (1 << 20)
-"""Bytes a second that are read; others wait in the network buffers of the page."""
+"""Maximum rate at which bytes are read; further bytes wait in network buffers."""
 
 
 class PageLimits:

@@ -1,4 +1,4 @@
-"""The password file, one line with the password's scrypt hash, and the rate limits of tries."""
+"""The password file, which is one line with the password's scrypt hash, and the rate limits of tries."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MAX_PASSWORD_FILE_BYTES: Final = 4096
 _SCRYPT_N, _SCRYPT_R, _SCRYPT_P = 1 << 15, 8, 1
 """Costs of scrypt for new files: 32 MiB and about 0.1 s for each try."""
 _SCRYPT_MEMORY_BYTES: Final = 64 << 20
-"""Most memory that scrypt may use. The costs in a file may need at most half of it."""
+"""Maximum memory of scrypt. The costs in a password file may need at most half of it."""
 _LINE_PATTERN: Final = re.compile(
     r"scrypt:([0-9]{1,8}):([0-9]{1,2}):([0-9]{1,2}):([A-Za-z0-9+/=]{16,88}):([A-Za-z0-9+/=]{44})"
 )
@@ -41,13 +41,13 @@ _TRIES_PER_ADDRESS: Final = (0.1, 5.0)
 _TRIES_OF_ALL_ADDRESSES: Final = (1.0, 20.0)
 """Rate limit of all addresses together: tries a second, and burst."""
 _MAX_TRACKED_ADDRESSES: Final = 1000
-"""Most addresses with a separate rate limit; beyond this number the one that tried longest ago is forgotten."""
-Verdict = Literal["right", "wrong", "later"]
-"""Result of a try; `later`: there were too many tries, and this one was not checked."""
+"""Maximum number of addresses with a separate rate limit; the address that tried longest ago is forgotten first."""
+CheckResult = Literal["right", "wrong", "later"]
+"""Result of a try; `later`: there were too many tries, and the password was not checked."""
 
 
 class Passwords:
-    """Checks passwords against the hash in one file, with rate limits. For the event loop."""
+    """Checks passwords against the hash in one file, with rate limits. Only the event loop may use it."""
 
     def __init__(self, path: str, now: Callable[[], float] = time.monotonic) -> None:
         """Read the password file. Raises HapticdError if other users may read it or if it does not contain a hash."""
@@ -70,7 +70,7 @@ class Passwords:
         self._addresses: OrderedDict[str, Bucket] = OrderedDict()
         self._one_at_a_time = asyncio.Lock()
 
-    async def check(self, password: str, address: str) -> Verdict:
+    async def check(self, password: str, address: str) -> CheckResult:
         """Check a password that a browser at `address` sent."""
         given = password.encode("utf-8", "surrogateescape")
         if not self._may_try(address):
@@ -78,15 +78,15 @@ class Passwords:
         if len(given) > MAX_PASSWORD_BYTES:
             return "wrong"
         async with self._one_at_a_time:
-            found = await asyncio.to_thread(_scrypt, given, self._salt, *self._cost)
-        return "right" if hmac.compare_digest(found, self._hash) else "wrong"
+            hashed = await asyncio.to_thread(_scrypt, given, self._salt, *self._cost)
+        return "right" if hmac.compare_digest(hashed, self._hash) else "wrong"
 
     def _may_try(self, address: str) -> bool:
         of_address = self._addresses.setdefault(address, Bucket(*_TRIES_PER_ADDRESS, self._now))
         self._addresses.move_to_end(address)
         if len(self._addresses) > _MAX_TRACKED_ADDRESSES:
             self._addresses.popitem(last=False)
-        return of_address.take_if_there(1) and self._all.take_if_there(1)
+        return of_address.try_take(1) and self._all.try_take(1)
 
 
 def _scrypt(password: bytes, salt: bytes, n: int, r: int, p: int) -> bytes:

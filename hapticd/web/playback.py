@@ -18,11 +18,11 @@ from hapticd.client.record import ended_early
 from hapticd.recording.recording import Recording
 
 MAX_ROWS_PER_ANSWER: Final = 20_000
-"""Most samples in one answer: 2 MB."""
+"""Maximum number of samples in one answer, which then has about 2 MB."""
 MAX_OUTLINE_PIXELS: Final = 4096
-"""Most pixels of one outline, which has the minimum and the maximum of a column per pixel."""
+"""Maximum number of pixels of an outline, which has the minimum and the maximum of a column per pixel."""
 MAX_SHOWN_EVENTS: Final = 5000
-"""Most events of a recording that a page gets; later ones are left out."""
+"""Maximum number of events of a recording that a page gets; later events are left out."""
 _MAX_EVENT_TEXT_CHARACTERS: Final = 500
 """Longest text in an event; members with a longer text are left out."""
 _RATE_RANGE_HZ: Final = (1.0, 1e6)
@@ -64,7 +64,7 @@ _MAGNITUDE_COLUMNS: Final = {
 }
 """Columns of vector magnitudes, each with its field of a sample."""
 OUTLINE_COLUMNS: Final = (*_COMPONENT_COLUMNS, *_MAGNITUDE_COLUMNS)
-"""Columns that an outline may show. The names of components are those of static/samples.js."""
+"""Columns that an outline may show. Components have the same names as in static/samples.js."""
 
 
 class Playback:
@@ -84,7 +84,7 @@ class Playback:
             raise HapticdError(f"{recording.path}: contains no samples")
 
     def facts(self) -> dict[str, Json]:
-        """Return the facts that the page shows: duration, rate, notes, events and others."""
+        """Return what the page shows about the recording: duration, rate, notes, events and others."""
         recording, samples = self._recording, self._samples
         times = samples["time_ns"]
         started = recording.started
@@ -102,17 +102,17 @@ class Playback:
         }
 
     def _events(self) -> list[Json]:
-        found: list[Json] = []
+        events: list[Json] = []
         ticks = self._samples["tick"]
         for event in self._recording.events:
             kind, tick = event.get("event"), event.get("tick")
             if kind not in _SHOWN_EVENT_KINDS or type(tick) is not int or not int(ticks[0]) <= tick <= int(ticks[-1]):
                 continue
             row = int(np.searchsorted(ticks, np.uint64(tick)))
-            found.append({**{name: value for name, value in event.items() if _is_brief(value)}, "row": row})
-            if len(found) == MAX_SHOWN_EVENTS:
+            events.append({**{name: value for name, value in event.items() if _is_brief(value)}, "row": row})
+            if len(events) == MAX_SHOWN_EVENTS:
                 break
-        return found
+        return events
 
     def rows(self, first: int, count: int) -> dict[str, object]:
         """Return `count` samples from row `first` on, as in the topic `samples` (docs/protocol.md)."""
@@ -131,8 +131,8 @@ class Playback:
     def outline(self, column: str, first: int, last: int, pixels: int) -> dict[str, object]:
         """Return a column of the samples from row `first` to before row `last`, as little-endian float32.
 
-        The result has `min` and `max`, each with one number per pixel, or, if there are at most two rows per pixel,
-        `raw` with one number per row.
+        The result has `min` and `max`, each with one number per pixel. If there are at most two rows per pixel, it has
+        `raw` instead, with one number per row.
         """
         if column not in OUTLINE_COLUMNS:
             raise HapticdError(f"column: must be one of {', '.join(OUTLINE_COLUMNS)}")
@@ -154,8 +154,8 @@ class Playback:
         part = self._samples[first:last]
         if name in _COMPONENT_COLUMNS:
             field, component = _COMPONENT_COLUMNS[name]
-            found: npt.NDArray[np.float64] = part[field][:, component]
-            return found
+            values: npt.NDArray[np.float64] = part[field][:, component]
+            return values
         vectors = part[_MAGNITUDE_COLUMNS[name]]
         length: npt.NDArray[np.float64] = np.hypot(vectors[:, 0], vectors[:, 1])
         return length

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from hapticd.web.metrics import DaemonCollector
 
 _DAEMON_WAIT_S: Final = 0.3
-"""Longest wait for the daemon at the start, so that the first page shows it at once."""
+"""Longest wait for the daemon at the start, so that the first page shows a running daemon at once."""
 
 _log = logging.getLogger("hapticd.web")
 
@@ -70,9 +70,7 @@ def run(options: Options) -> int:
         stack.callback(at.socket.close)
         collector = None
         if options.metrics is not None:
-            from hapticd.web.metrics import (
-                served,  # imported only here: needs prometheus-client
-            )
+            from hapticd.web.metrics import served  # imported only here: needs prometheus-client
 
             collector = stack.enter_context(served(options.metrics))
         if options.place is not None:
@@ -115,7 +113,7 @@ class _Server:
         async with AsyncExitStack() as stack:
             control = Client(self._place)
             stack.push_async_callback(control.close)
-            hub = TelemetryHub(self._place, lambda there: pages.send_news({"daemon": there}))
+            hub = TelemetryHub(self._place, lambda connected: pages.send_news({"daemon": connected}))
             recordings = Recordings(
                 self._options.recordings or default_folder(), lambda: blocking.Client(self._place.directory)
             )
@@ -134,7 +132,7 @@ class _Server:
                 tasks.append(asyncio.create_task(self._demo.failed(), name="demo"))
             for task in tasks:
                 stack.push_async_callback(ended, task)
-            await hub.found(_DAEMON_WAIT_S)
+            await hub.await_daemon(_DAEMON_WAIT_S)
             address = self._new_address()
             click.echo(address)
             notify.ready(f"at {self._at.url}")

@@ -2,7 +2,7 @@
 
 There is at most one recording. It continues if the page that began it is closed or loses the network; every page shows
 the recording and can stop it. It ends when it is stopped, after its duration, when the daemon ends, when the disk is
-full and when `hapticd web` ends; the file has everything until then.
+full and when `hapticd web` ends; the file contains all samples until then.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hapticd.recording.writer import RecordingWriter
 from hapticd.web.recording_folder import RecordingFolder
 
 PROGRESS_INTERVAL_S: Final = 0.5
-"""Interval in which pages get the progress of a recording."""
+"""Interval at which pages get the progress of a recording."""
 MAX_RECORDING_S: Final = 86_400.0
 """Longest duration that may be given for a recording: a day."""
 _MIN_FREE_BYTES: Final = 64 << 20
@@ -52,10 +52,10 @@ class _ActiveRecording:
 
 
 class WebRecorder:
-    """Begins and ends recordings. For the event loop."""
+    """Begins and ends recordings. Only the event loop may use it."""
 
     def __init__(self, connect: Callable[[], AbstractContextManager[Daemon]], folder: RecordingFolder) -> None:
-        """Record into `folder`. `connect` makes a client that only the thread uses."""
+        """Record into `folder`. `connect` returns a new client, which only the recording's thread uses."""
         self._connect, self._folder = connect, folder
         self._active: _ActiveRecording | None = None
         self._last: dict[str, Json] | None = None
@@ -75,8 +75,8 @@ class WebRecorder:
     def state(self) -> dict[str, Json]:
         """Return the state of recordings.
 
-        `recording`: whether one is under way; then also its `name`, `recorded_s`, `ticks`, `bytes` and `for_s`. `last`:
-        the summary of the last one, or its `name` and `error`. `free_bytes`: free disk space.
+        `recording`: whether a recording is under way; if so, also its `name`, `recorded_s`, `ticks`, `bytes`, `for_s`.
+        `last`: the summary of the last recording, or its `name` and `error`. `free_bytes`: free disk space.
         """
         state: dict[str, Json] = {
             "recording": self._active is not None,
@@ -110,7 +110,7 @@ class WebRecorder:
     async def start(self, name: object, notes: object = None, for_s: object = None) -> dict[str, Json]:
         """Begin a recording, and return the state once the first sample is in the file.
 
-        Raises HapticdError if it cannot be recorded.
+        Raises HapticdError if the recording cannot begin.
         """
         if self._active is not None:
             raise HapticdError(f"a recording is under way: {self._active.name}; stop it first")
@@ -157,7 +157,7 @@ class WebRecorder:
     def _run(
         self, loop: asyncio.AbstractEventLoop, active: _ActiveRecording, target: Path, notes: Mapping[str, Json]
     ) -> None:
-        """Record until the recording is stopped or ends. For the recording's thread."""
+        """Record until the recording is stopped or ends; runs in the recording's thread."""
 
         def opened(writer: RecordingWriter) -> None:
             active.writer = writer
@@ -169,10 +169,10 @@ class WebRecorder:
 
         try:
             with self._connect() as client:
-                found = record(
+                summary = record(
                     client, target, active.for_s, notes=notes, stop=active.stop, progress=progress, opened=opened
                 )
-            last = _result_of(found)
+            last = _result_of(summary)
         except HapticdError as error:
             last = {"name": active.name, "error": str(error)}
         except Exception as error:  # unexpected: pages must get the end of the recording in any case
@@ -190,15 +190,15 @@ def _resolve(future: asyncio.Future[None]) -> None:
         future.set_result(None)
 
 
-def _result_of(found: RecordSummary) -> dict[str, Json]:
-    """Return the member `last` of the state of a recording that ended."""
+def _result_of(summary: RecordSummary) -> dict[str, Json]:
+    """Return the summary of an ended recording, the member `last` of the state."""
     return {
-        "name": Path(found.file).name,
-        "ticks": found.ticks,
-        "duration_s": found.duration_s,
-        "lost": found.lost + found.dropped,
-        "ended_because": ended_early(found.ended_because),
-        "warning": found.warning,
+        "name": Path(summary.file).name,
+        "ticks": summary.ticks,
+        "duration_s": summary.duration_s,
+        "lost": summary.lost + summary.dropped,
+        "ended_because": ended_early(summary.ended_because),
+        "warning": summary.warning,
     }
 
 

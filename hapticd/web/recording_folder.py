@@ -23,7 +23,7 @@ MAX_RECORDING_NAME_CHARACTERS: Final = 64
 _STEM_PATTERN: Final = re.compile(r"[^\W_][\w .+-]*")
 """Name of a recording without its ending."""
 _MAX_LISTED_RECORDINGS: Final = 1000
-"""Most recordings in a list; older ones are left out."""
+"""Maximum number of recordings in a list; older ones are left out."""
 
 
 def default_folder(environ: Mapping[str, str] | None = None) -> Path:
@@ -42,7 +42,7 @@ def default_folder(environ: Mapping[str, str] | None = None) -> Path:
 
 
 def checked_name(name: object) -> str:
-    """Return the name of a recording with its ending, as `tap 3.npz`. Raises HapticdError if it is not valid."""
+    """Return the name of a recording, such as `tap 3.npz`. Raises HapticdError if the name is not valid."""
     if not isinstance(name, str):
         raise HapticdError("name: must be a text")
     stem, ending = os.path.splitext(name)
@@ -85,7 +85,7 @@ class RecordingFolder:
 
         Raises HapticdError if the folder cannot be read.
         """
-        found = []
+        listed = []
         try:
             with self._opened() as fd:
                 for name in os.listdir(fd):
@@ -95,12 +95,12 @@ class RecordingFolder:
                     except (HapticdError, FileNotFoundError):
                         continue  # not a recording, or deleted meanwhile
                     if stat.S_ISREG(here.st_mode):
-                        found.append(Listed(name, here.st_size, here.st_mtime_ns))
+                        listed.append(Listed(name, here.st_size, here.st_mtime_ns))
         except FileNotFoundError:
             return []
         except OSError as error:
             raise self._unusable(error) from None
-        return sorted(found, key=lambda each: each.modified_ns, reverse=True)[:_MAX_LISTED_RECORDINGS]
+        return sorted(listed, key=lambda each: each.modified_ns, reverse=True)[:_MAX_LISTED_RECORDINGS]
 
     def target(self, name: object) -> Path:
         """Return the path for a new recording of this name, and make the folder.
@@ -146,10 +146,10 @@ class RecordingFolder:
         """Return the free space on the folder's disk, in bytes; None if it is not known."""
         for folder in (self.path, *self.path.parents):
             try:
-                found = os.statvfs(folder)
+                disk = os.statvfs(folder)
             except OSError:
                 continue
-            return found.f_bavail * found.f_frsize
+            return disk.f_bavail * disk.f_frsize
         return None
 
     @contextmanager

@@ -28,10 +28,10 @@ _DOWNLOAD_BLOCK_BYTES: Final = 1 << 18
 
 
 class Recordings:
-    """The recordings of this process, and the methods of pages for them."""
+    """The recordings of this process, and the methods with which pages use recordings."""
 
     def __init__(self, folder: Path, connect: Callable[[], AbstractContextManager[Daemon]]) -> None:
-        """Record into `folder`. `connect` makes a client for each recording."""
+        """Record into `folder`. `connect` returns a new client for each recording."""
         self._folder = RecordingFolder(folder)
         self._recorder = WebRecorder(connect, self._folder)
         self._uploads = Uploads()
@@ -67,10 +67,10 @@ class Recordings:
     # ---- Record, list, download, delete ----------------------------------------------------------------------------
 
     async def _list(self, _: Page, params: Mapping[str, object]) -> object:
-        found = await asyncio.to_thread(self._folder.list)
+        listed = await asyncio.to_thread(self._folder.list)
         return {
             "folder": os.fspath(self._folder.path),
-            "recordings": [each.to_dict() for each in found],
+            "recordings": [each.to_dict() for each in listed],
             "free_bytes": self._folder.free_bytes(),
         }
 

@@ -34,7 +34,7 @@ SECURITY_HEADERS: Final = {
 _POST_ROUTES: Final = frozenset({("POST", "/login"), ("POST", "/uploads")})
 """Routes that accept a method other than GET and HEAD."""
 _PUBLIC_PATHS: Final = frozenset(("/login", "/door.css"))
-"""Paths that are served without access."""
+"""Paths that are also served to browsers without access."""
 MAX_FORM_BYTES: Final = 4096
 """Largest body of the login form."""
 

@@ -8,13 +8,13 @@ from collections import OrderedDict
 from typing import Final
 
 MAX_SESSIONS: Final = 64
-"""Most sessions at a time; beyond this number the one that was used longest ago ends."""
+"""Maximum number of sessions; the session that was used longest ago ends first."""
 MAX_TOKENS: Final = 16
-"""Most unused tokens; beyond this number the oldest becomes invalid."""
+"""Maximum number of unused tokens; the oldest becomes invalid first."""
 
 
 class Sessions:
-    """The tokens and sessions of this process, which end with it."""
+    """The tokens and sessions of this process; all become invalid when it ends."""
 
     def __init__(self) -> None:
         """Begin without tokens and sessions."""
@@ -27,10 +27,10 @@ class Sessions:
 
     def admit(self, token: str) -> str | None:
         """Use up a one-time token and return a new session for the cookie; None if the token is not valid."""
-        found = _find(self._tokens, token)
-        if found is None:
+        known = _find(self._tokens, token)
+        if known is None:
             return None
-        del self._tokens[found]
+        del self._tokens[known]
         return self.open()
 
     def open(self) -> str:
@@ -39,25 +39,25 @@ class Sessions:
 
     def knows(self, session: str) -> bool:
         """Return whether a session is valid."""
-        found = _find(self._sessions, session)
-        if found is not None:
-            self._sessions.move_to_end(found)
-        return found is not None
+        known = _find(self._sessions, session)
+        if known is not None:
+            self._sessions.move_to_end(known)
+        return known is not None
 
 
-def _added(known: OrderedDict[str, None], most: int) -> str:
-    """Add a new secret to `known`, remove the oldest beyond `most`, and return the new one."""
+def _added(valid: OrderedDict[str, None], limit: int) -> str:
+    """Add a new secret to `valid`, remove the oldest secrets beyond `limit`, and return the new secret."""
     made = secrets.token_urlsafe(32)
-    known[made] = None
-    while len(known) > most:
-        known.popitem(last=False)
+    valid[made] = None
+    while len(valid) > limit:
+        valid.popitem(last=False)
     return made
 
 
 def _find(valid: OrderedDict[str, None], given: str) -> str | None:
     """Return the valid secret that equals `given`, or None. All secrets are compared, each in constant time."""
-    found = None
+    match = None
     for each in valid:
         if hmac.compare_digest(each.encode(), given.encode("utf-8", "surrogateescape")):
-            found = each
-    return found
+            match = each
+    return match

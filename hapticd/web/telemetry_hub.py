@@ -18,25 +18,25 @@ from hapticd.system.paths import RuntimePaths
 HUB_TOPICS: Final = ("samples", "state", "event", "change", "status")
 """Topics of the daemon's telemetry."""
 _HUB_MESSAGES_PER_TURN: Final = 32
-"""Messages after which other tasks of the event loop run."""
+"""Number of messages after which other tasks of the event loop run."""
 
 
 class Subscriber(Protocol):
     """A receiver of the daemon's telemetry, which must not block."""
 
     def telemetry(self, topic: str, message: bytes) -> None:
-        """Take a message of telemetry: [topic, body] as one msgpack array."""
+        """Accept a message of telemetry: [topic, body] as one msgpack array."""
 
 
 class TelemetryHub:
-    """One subscription to the daemon's telemetry, shared by all pages, only to topics that a page needs."""
+    """One subscription to the daemon's telemetry for all pages; it has only the topics that a page needs."""
 
     def __init__(self, place: RuntimePaths, changed: Callable[[bool], None] = lambda _: None) -> None:
         """Connect to the daemon at `place`. `changed` is called when the daemon connects or disconnects."""
         self._changed = changed
         self.daemon = False
         """Whether a daemon is connected."""
-        self._there = asyncio.Event()
+        self._connected = asyncio.Event()
         self._socket = zmq.asyncio.Context.instance().socket(zmq.SUB)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
@@ -45,7 +45,7 @@ class TelemetryHub:
         self._subscribers: dict[Subscriber, frozenset[str]] = {}
 
     def subscribe(self, subscriber: Subscriber, topics: frozenset[str]) -> None:
-        """From now on, pass messages of exactly `topics` to `subscriber`; without topics, end its subscription."""
+        """Pass messages of exactly `topics` to `subscriber` from now on; without topics, end its subscription."""
         before = self._subscribers.pop(subscriber, frozenset())
         if topics:
             self._subscribers[subscriber] = topics
@@ -58,10 +58,10 @@ class TelemetryHub:
             if self._wanted[topic] == 0:
                 self._socket.setsockopt(zmq.UNSUBSCRIBE, topic.encode())
 
-    async def found(self, wait_s: float) -> None:
+    async def await_daemon(self, wait_s: float) -> None:
         """Wait until a daemon is connected, but at most `wait_s`."""
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._there.wait(), wait_s)
+            await asyncio.wait_for(self._connected.wait(), wait_s)
 
     async def run(self) -> None:
         """Receive telemetry until cancelled."""
@@ -91,9 +91,9 @@ class TelemetryHub:
     async def _watch(self) -> None:
         while True:
             event = await recv_monitor_message(self._monitor)
-            there = event["event"] == zmq.EVENT_HANDSHAKE_SUCCEEDED
-            if there != self.daemon:
-                self.daemon = there
-                if there:
-                    self._there.set()
-                self._changed(there)
+            connected = event["event"] == zmq.EVENT_HANDSHAKE_SUCCEEDED
+            if connected != self.daemon:
+                self.daemon = connected
+                if connected:
+                    self._connected.set()
+                self._changed(connected)

@@ -20,8 +20,8 @@ class Bucket:
         self._level -= amount
         return max(0.0, -self._level / self._per_s)
 
-    def take_if_there(self, amount: float) -> bool:
-        """Take tokens if there are enough, and return whether they were taken."""
+    def try_take(self, amount: float) -> bool:
+        """Take `amount` tokens and return True; if there are fewer, take none and return False."""
         self._fill()
         there = self._level >= amount
         self._level -= amount if there else 0.0

@@ -18,13 +18,13 @@ from hapticd.web.connections import extend_deadline
 MAX_UPLOAD_BYTES: Final = 512 << 20
 """Largest file that may be uploaded."""
 MAX_WAITING_UPLOADS: Final = 4
-"""Most uploaded files that are not opened yet; beyond this number the oldest is removed."""
+"""Maximum number of uploaded files that wait to be opened; the oldest is removed first."""
 _UPLOAD_BLOCK_BYTES: Final = 1 << 18
 """Largest block that is received and written at once."""
 
 
 class Uploads:
-    """Uploaded files that wait to be opened, by the token that the upload returned."""
+    """Uploaded files that wait to be opened, each with the token that its upload returned."""
 
     def __init__(self) -> None:
         """Begin without uploaded files."""
@@ -58,7 +58,7 @@ class Uploads:
         return web.json_response({"upload": token})
 
     def take(self, token: object) -> Path:
-        """Return the uploaded file of a token; the caller must remove it. Raises HapticdError if it does not exist."""
+        """Return the uploaded file of a token; the caller must remove it. Raises HapticdError for an unknown token."""
         path = self._waiting.pop(token, None) if isinstance(token, str) else None
         if path is None:
             raise HapticdError("upload: the file was removed; choose it again")

@@ -40,8 +40,8 @@ def same(one: Json, other: Json) -> bool:
 def edited(text: str, after: dict[str, Json]) -> tuple[str, bool]:
     """Return the YAML text with the values of `after`, and whether everything else is unchanged.
 
-    `text` must be a mapping that load_text accepts. False: values could not be replaced in place, and the text was
-    written again without its comments.
+    `text` must be a mapping that load_text accepts. If a value cannot be replaced in place, the text is written again
+    without its comments, and the second result is False.
     """
     mark = "\ufeff" if text.startswith("\ufeff") else ""
     body = text.removeprefix("\ufeff")
@@ -50,9 +50,9 @@ def edited(text: str, after: dict[str, Json]) -> tuple[str, bool]:
         return text, True
     try:
         node = yaml.compose(body, Loader=_YAML_LOADER)
-        found = _Edits(body)
-        found.value(cast(yaml.Node, node), before, after)
-        new = found.applied()
+        edits = _Edits(body)
+        edits.value(cast(yaml.Node, node), before, after)
+        new = edits.applied()
         if same(load_text(new, "").data, after):
             return mark + new, True
     except (_IntricateError, HapticdError):
@@ -118,9 +118,9 @@ class _Edits:
             self._edits.append((self._end(last_kept), self._end(last), new))
             return
         if common < len(before):
-            first_gone = node.value[common].start_mark.index
-            line = self._line_start(first_gone)
-            if self._text[line:first_gone].strip(" ") != "-":
+            first_removed = node.value[common].start_mark.index
+            line = self._line_start(first_removed)
+            if self._text[line:first_removed].strip(" ") != "-":
                 raise _IntricateError
             self._edits.append((line, self._after_line(self._end(last)), ""))
         if added:
@@ -136,22 +136,22 @@ class _Edits:
             key, value = entries[name]
             self.value(value, before[name], after[name], key)
         added = {name: value for name, value in after.items() if name not in entries}
-        gone = [name for name in entries if name not in after]
+        removed = [name for name in entries if name not in after]
         if node.flow_style:
-            self._flow_mapping(list(entries), entries, gone, added)
+            self._flow_mapping(list(entries), entries, removed, added)
         else:
-            self._block_mapping(entries, gone, added)
+            self._block_mapping(entries, removed, added)
 
     def _flow_mapping(
         self,
         order: list[str],
         entries: dict[str, tuple[yaml.Node, yaml.Node]],
-        gone: list[str],
+        removed: list[str],
         added: dict[str, Json],
     ) -> None:
-        last_kept = max(place for place, name in enumerate(order) if name not in gone)
+        last_kept = max(place for place, name in enumerate(order) if name not in removed)
         for place, name in enumerate(order[:last_kept]):
-            if name in gone:
+            if name in removed:
                 self._edits.append((self._start(entries[name]), self._start(entries[order[place + 1]]), ""))
         at, end = self._entry_end(entries[order[last_kept]]), self._entry_end(entries[order[-1]])
         new = "".join(f", {flow_text(name)}: {flow_text(value)}" for name, value in added.items())
@@ -159,9 +159,9 @@ class _Edits:
             self._edits.append((at, end, new))
 
     def _block_mapping(
-        self, entries: dict[str, tuple[yaml.Node, yaml.Node]], gone: list[str], added: dict[str, Json]
+        self, entries: dict[str, tuple[yaml.Node, yaml.Node]], removed: list[str], added: dict[str, Json]
     ) -> None:
-        for name in gone:
+        for name in removed:
             start, end = self._start(entries[name]), self._after_line(self._entry_end(entries[name]))
             line = self._line_start(start)
             if self._text[line:start].strip(" "):

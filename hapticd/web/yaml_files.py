@@ -41,7 +41,7 @@ class Opened:
     document: Document
     change: ChangeFiles
     left_out: tuple[str, ...]
-    """Sections that only matter at the start of a daemon and were not applied."""
+    """Sections of the file that need a restart of the daemon, and were not applied."""
 
     @property
     def materials(self) -> _Map:
@@ -55,7 +55,7 @@ class Opened:
 
 
 def read(name: object, text: object) -> Opened:
-    """Read and check the text of a file; errors call it `name`.
+    """Read and check the text of a file; `name` is its name in errors.
 
     Raises InvalidError with the line and key of every problem, also of problems in other sections of a configuration.
     """
@@ -78,21 +78,21 @@ def read(name: object, text: object) -> Opened:
 
 def placed(problems: Sequence[Problem], name: str) -> list[dict[str, Json]]:
     """Return problems for a page: `line` and `column` (from 1; nil without a place), the key `where`, and `problem`."""
-    found: list[dict[str, Json]] = []
+    listed: list[dict[str, Json]] = []
     for each in problems:
         rest = each.where.removeprefix(printable(name))
         match = _PLACE_PATTERN.match(rest.removeprefix(":"))
         line, column, where = (int(match[1]), int(match[2]), match[3] or "") if match else (None, None, rest)
-        found.append({"line": line, "column": column, "where": where, "problem": each.problem})
-    return found
+        listed.append({"line": line, "column": column, "where": where, "problem": each.problem})
+    return listed
 
 
 def changed_materials(materials: Mapping[str, object]) -> _Map:
     """Return the materials that differ from the shipped ones, with all members. Raises InvalidError."""
     shipped = shipped_materials()
-    found = {name: material.to_dict() for name, material in validate_materials(dict(materials)).items()}
+    given = {name: material.to_dict() for name, material in validate_materials(dict(materials)).items()}
     return {
-        name: full for name, full in found.items() if name not in shipped or not same(full, shipped[name].to_dict())
+        name: full for name, full in given.items() if name not in shipped or not same(full, shipped[name].to_dict())
     }
 
 
@@ -118,13 +118,13 @@ def saved(
     """Return the daemon's scene and materials as a file that `hapticd check -c`, `run -c` and `apply` read.
 
     Only materials that differ from the shipped ones are written, without members that have their default. `opened` with
-    its `text`: the file to change; only values that differ are replaced in it. `others`: materials that the daemon had
-    when the file was opened and that the file does not have; they are added only if they have changed since, or if the
-    scene names them. Raises HapticdError if there is nothing to save.
+    its `text` is the file to change; only values that differ are replaced. `others` are the daemon's materials that the
+    file lacked when it was opened. They are added only if they have changed since then, or if the scene names them.
+    Raises HapticdError if there is nothing to save.
     """
-    found = validate_scene(dict(scene))
+    valid = validate_scene(dict(scene))
     written: _Map
-    used = used_materials(found.objects.values())
+    used = used_materials(valid.objects.values())
     full = {name: each.to_dict() for name, each in validate_materials(dict(materials)).items()}
     differing = changed_materials(materials)
     if opened is None:
@@ -141,12 +141,12 @@ def saved(
     if "materials" in parts and (written or (opened is not None and opened.change.materials is not None)):
         wanted["materials"] = cast(Json, written)
     if "scene" in parts:
-        wanted["scene"] = found.to_dict()
+        wanted["scene"] = valid.to_dict()
     if not wanted:
         raise HapticdError("there is nothing to save: every material is as shipped")
     brief: _Map = {
         "materials": {name: _brief(each) for name, each in validate_materials(written).items()},
-        "scene": _brief(found),
+        "scene": _brief(valid),
     }
     if opened is None:
         text, kept = _FIRST_LINE + block_text({part: brief[part] for part in FILE_PARTS if part in wanted}), True

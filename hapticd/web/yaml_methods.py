@@ -30,17 +30,17 @@ async def _schema(_: Page, params: Mapping[str, object]) -> object:
 async def _shipped(_: Page, params: Mapping[str, object]) -> object:
     """Answer web.yaml_shipped: `name` and description (`shows`) of each shipped file."""
 
-    def found() -> object:
+    def read_descriptions() -> object:
         return {
             folder: [{"name": each.name, "shows": each.shows} for each in described(folder)]
             for folder in _SHIPPED_FOLDERS
         }
 
-    return await asyncio.to_thread(found)
+    return await asyncio.to_thread(read_descriptions)
 
 
 async def _open(page: Page, params: Mapping[str, object]) -> object:
-    """Answer web.yaml_open: check the `text` of the file `name`; put its scene and materials in force together."""
+    """Answer web.yaml_open: check the `text` of the file `name`, and apply its scene and materials in one change."""
     return await _apply(page, params.get("name"), params.get("text"))
 
 
@@ -60,7 +60,7 @@ async def _open_shipped(page: Page, params: Mapping[str, object]) -> object:
 
 
 async def _apply(page: Page, name: object, text: object) -> dict[str, object]:
-    """Put the scene and materials of a YAML text in force. An error lists the text's problems by line and key."""
+    """Apply the scene and materials of a YAML text. An error lists the problems of the text by line and key."""
     given = str(name)
     try:
         opened = await asyncio.to_thread(_read, name, text)
@@ -91,9 +91,9 @@ def _read(name: object, text: object) -> Opened:
 
 
 def _refused(name: str, problems: tuple[Problem, ...]) -> RemoteError:
-    found = yaml_files.placed(problems, name)
-    text = f"{printable(name)}: {wording.count(len(found), 'fault')}; nothing was changed"
-    return RemoteError(Code.INVALID_PARAMS, text, found)
+    listed = yaml_files.placed(problems, name)
+    text = f"{printable(name)}: {wording.count(len(listed), 'fault')}; nothing was changed"
+    return RemoteError(Code.INVALID_PARAMS, text, listed)
 
 
 async def _save(page: Page, params: Mapping[str, object]) -> object:
@@ -119,8 +119,8 @@ async def _save(page: Page, params: Mapping[str, object]) -> object:
         opened = _read(given.get("name"), given.get("text"))
         return yaml_files.saved(scene, materials, parts, opened, given["text"], others)
 
-    found = await asyncio.to_thread(write)
-    return {"text": found.text, "kept": found.kept, "materials": found.materials}
+    saved = await asyncio.to_thread(write)
+    return {"text": saved.text, "kept": saved.kept, "materials": saved.materials}
 
 
 YAML_PAGE_METHODS: Final[dict[str, Method]] = {

@@ -23,7 +23,7 @@ LAGS = [
 
 
 def lag_matrix(actuator: Actuator) -> tuple[np.ndarray, np.ndarray]:
-    """y' = A y + B u of the states behind the force y[0], written from the transfer functions."""
+    """Return A and B of y' = A y + B u, from the transfer functions; y[0] is the force."""
     a, zeta = actuator.rate_per_s, actuator.damping_ratio
     if actuator.order == 1:
         return np.array([[-a]]), np.array([a])
@@ -32,9 +32,9 @@ def lag_matrix(actuator: Actuator) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("actuator", LAGS, ids=str)
 def test_the_bandwidth_is_where_3_db_are_lost(actuator: Actuator) -> None:
-    matrix, told = lag_matrix(actuator)
+    matrix, drive = lag_matrix(actuator)
     s = 2j * math.pi * actuator.bandwidth_hz
-    shown = np.linalg.solve(s * np.eye(len(told)) - matrix, told)[0]
+    shown = np.linalg.solve(s * np.eye(len(drive)) - matrix, drive)[0]
     assert abs(shown) == pytest.approx(math.sqrt(0.5), rel=1e-12)
     assert actuator.at(s) == pytest.approx(shown, rel=1e-12)
     assert actuator.at(0j) == 1
@@ -65,14 +65,14 @@ def test_motion_and_force_are_the_matrix_exponential(actuator: Actuator, rate_hz
     force = rng.uniform(-2, 2, (300, 2))
     sim = sim_of(actuator, rate_hz)
     motion = driven(sim, force)
-    lag, told = lag_matrix(actuator)
+    lag, drive = lag_matrix(actuator)
     mass, damping, stiffness = 0.05, 5.2, 300.0  # the default handle and hand
-    size = 2 + len(told)
-    whole = np.zeros((size + 1, size + 1))
-    whole[0, 1] = 1
-    whole[1, :3] = -stiffness / mass, -damping / mass, 1 / mass
-    whole[2:size, 2:size], whole[2:size, size] = lag, told
-    step = expm(whole / rate_hz)
+    size = 2 + len(drive)
+    full = np.zeros((size + 1, size + 1))
+    full[0, 1] = 1
+    full[1, :3] = -stiffness / mass, -damping / mass, 1 / mass
+    full[2:size, 2:size], full[2:size, size] = lag, drive
+    step = expm(full / rate_hz)
     for axis in (0, 1):
         state = np.zeros(size + 1)
         wanted = np.empty((len(force), 2))
@@ -85,8 +85,8 @@ def test_motion_and_force_are_the_matrix_exponential(actuator: Actuator, rate_hz
         assert truth(sim)[2][axis] == pytest.approx(state[2], abs=1e-11)
 
 
-def test_a_resting_handle_breaks_away_when_the_force_has_come_so_far() -> None:
-    """Order 1: the force reaches the friction c after log(u/(u - c))/a."""
+def test_a_resting_handle_moves_once_the_force_exceeds_friction() -> None:
+    """With a lag of order 1 the force reaches the friction c after log(u/(u - c))/a."""
     actuator, friction, push, rate = Actuator(bandwidth_hz=50), 0.5, 1.0, 1000.0
     free = {"mass_kg": 0, "stiffness_n_per_m": 0, "damping_n_s_per_m": 0}
     sim = sim_of(actuator, rate, coulomb_friction_n=friction, handle_damping_n_s_per_m=0, hand=free)
@@ -104,7 +104,7 @@ def test_a_resting_handle_breaks_away_when_the_force_has_come_so_far() -> None:
 
 
 def test_friction_and_lag_by_small_steps() -> None:
-    """Semi-implicit Euler, 2 us a step, of all that the simulation has."""
+    """The complete simulation agrees with semi-implicit Euler steps of 2 us."""
     actuator, rate, friction = Actuator(bandwidth_hz=200, order=2, damping_ratio=0.4), 1000.0, 0.05
     mass, damping, stiffness = 0.05, 5.2, 300.0
     force = np.repeat(np.random.default_rng(4).uniform(-1, 1, (12, 2)), 5, axis=0)
@@ -128,7 +128,7 @@ def test_friction_and_lag_by_small_steps() -> None:
 
 
 @pytest.mark.parametrize("actuator", [LAGS[1], LAGS[3]], ids=str)
-def test_many_periods_are_as_many_single_ones(actuator: Actuator) -> None:
+def test_many_periods_at_once_equal_single_periods(actuator: Actuator) -> None:
     one, other = (sim_of(actuator, 4000, force_timeout_s=0.011) for _ in range(2))
     for push in ([1.0, -2.0], [-0.5, 0.1]):
         for sim in (one, other):
@@ -138,12 +138,12 @@ def test_many_periods_are_as_many_single_ones(actuator: Actuator) -> None:
             lib.hd_sim_advance(other, 1)
         for alike, single in zip(truth(one), truth(other), strict=True):
             assert alike == pytest.approx(single, rel=1e-9, abs=1e-15)
-    # Expired since, and over.
+    # The force has timed out and decayed meanwhile.
     lib.hd_sim_advance(one, 40_000)
     assert truth(one)[2] == [0.0, 0.0]
 
 
-def test_a_force_that_comes_by_a_link_lags_from_then_on() -> None:
+def test_the_lag_of_a_force_begins_after_the_delay_of_the_link() -> None:
     actuator = Actuator(bandwidth_hz=100)
     link = {"rate_hz": 1000, "delay_frames": 2}
     sim = sim_of(actuator, 1000, link=link)
@@ -154,7 +154,7 @@ def test_a_force_that_comes_by_a_link_lags_from_then_on() -> None:
     assert truth(sim)[2][0] == pytest.approx(1 - math.exp(-actuator.rate_per_s / 1000))
 
 
-def test_the_device_that_is_compensated_for_is_the_simulated_one_unless_another_is_given() -> None:
+def test_the_lag_is_the_simulated_one_unless_another_is_given() -> None:
     lag = {"bandwidth_hz": 1600, "order": 2}
     assert load_config({}).device.lag is None
     assert load_config({"device": {"sim": {"actuator": lag}}}).device.lag == Actuator(**lag)  # type: ignore[arg-type]
@@ -165,13 +165,13 @@ def test_the_device_that_is_compensated_for_is_the_simulated_one_unless_another_
 
 
 @pytest.mark.parametrize(
-    ("order", "rate", "told"), [(3, 1e3, "actuator_order: 3"), (1, 0.0, "actuator_order: 1"), (1, 1e7, "is too fast")]
+    ("order", "rate", "fault"), [(3, 1e3, "actuator_order: 3"), (1, 0.0, "actuator_order: 1"), (1, 1e7, "is too fast")]
 )
-def test_a_lag_that_cannot_be(order: int, rate: float, told: str) -> None:
+def test_impossible_lags_are_refused(order: int, rate: float, fault: str) -> None:
     from hapticd.base.core import invalid_reason
 
     config = ffi.new("struct hd_sim_config *")
     config.handle_mass_kg, config.workspace_m, config.force_timeout_s = 0.04, 0.075, 0.1
     config.actuator_order, config.actuator_rate_per_s = order, rate
     assert lib.hd_sim_new(config, 1e-3) == ffi.NULL
-    assert told in invalid_reason()
+    assert fault in invalid_reason()

@@ -1,4 +1,4 @@
-"""NaN, infinities and nonsense, in samples and in tables: zero force, latched, or refused by name."""
+"""Invalid numbers: in samples they latch a fault and zero force; in tables they are refused with their place."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_overflow_inside_a_tick_latches_a_fault() -> None:
     assert np.hypot(*samples["force_n"].T).max() <= 8.9
 
 
-def test_render_refuses_bad_positions_by_place() -> None:
+def test_render_names_the_place_of_a_bad_position() -> None:
     path = still(0, 0, 20)
     path[17, 1] = np.nan
     with pytest.raises(InvalidError, match=r"position_m\[17\]: must be finite"):
@@ -154,7 +154,7 @@ def test_table_of_more_objects_than_the_state_has_room_for_is_refused() -> None:
         rig.render(np.zeros((1, 2)))
 
 
-def test_runs_refuse_what_they_cannot_take_in_one_line() -> None:
+def test_runs_refuse_invalid_arguments_in_one_line() -> None:
     hand = [[0, 0, 0], [1, 0, 0]]
     calls = [
         (lambda: simulate({}, hand, "x"), "duration_s"),  # type: ignore[arg-type]

@@ -50,7 +50,7 @@ def models() -> dict[str, Schema]:
 
 
 def sound(schema: Schema) -> Schema:
-    """A property without `| null`."""
+    """Return the schema of a property without its alternative null."""
     options = schema.get("anyOf")
     if isinstance(options, list):
         return mapping(next(option for option in options if mapping(option).get("type") != "null"))
@@ -58,7 +58,7 @@ def sound(schema: Schema) -> Schema:
 
 
 def shown_number(value: float) -> str:
-    """As pydantic's messages have it: without an exponent."""
+    """Return a number as in pydantic's messages, without an exponent."""
     return np.format_float_positional(value, trim="-")
 
 
@@ -74,7 +74,7 @@ def numbers() -> Iterator[tuple[str, str, Schema, bool]]:
 
 
 def faults_of_key(model: str, key: str, value: Json) -> list[str]:
-    """Faults of one key alone, whatever else that model requires."""
+    """Return the faults of one key, without those of other keys of the model."""
     try:
         Model.by_name[model].parsed({key: value})
     except ValidationError as error:
@@ -93,19 +93,19 @@ def test_every_number_is_strict_and_has_limits(model: str, key: str, limits: Sch
     assert isinstance(high, int | float)
     assert low < high
 
-    def told(value: Json) -> list[str]:
+    def problems(value: Json) -> list[str]:
         return faults_of_key(model, key, [value, 0.5] if is_vector else value)
 
-    assert told(low) == told(high) == []
+    assert problems(low) == problems(high) == []
     below, above = low - 1, high + 1
-    assert told(below) == [f"should be greater than or equal to {shown_number(low)}, is {below!r}"]
-    assert told(above) == [f"should be less than or equal to {shown_number(high)}, is {above!r}"]
+    assert problems(below) == [f"should be greater than or equal to {shown_number(low)}, is {below!r}"]
+    assert problems(above) == [f"should be less than or equal to {shown_number(high)}, is {above!r}"]
     kind = "integer" if limits["type"] == "integer" else "number"
     wrong: list[tuple[Json, str]] = [(True, "true"), ("1", '"1"'), ([], "a list")]
     for value, shown in wrong:
-        assert told(value) == [f"should be a valid {kind}, is {shown}"]
+        assert problems(value) == [f"should be a valid {kind}, is {shown}"]
     for number in (math.nan, math.inf, -math.inf):
-        assert len(told(number)) == 1
+        assert len(problems(number)) == 1
 
 
 def test_rates_of_1_hz_and_20_khz_are_refused() -> None:
@@ -133,14 +133,14 @@ def test_effective_mass_follows_handle_and_hand() -> None:
     assert load_config({"device": both}).device.effective_mass_kg == 0.5
 
 
-def test_what_a_real_link_cannot_carry_is_lowered() -> None:
+def test_undisplayable_modes_of_a_real_device_are_lowered_by_default() -> None:
     assert load_config({}).device.undisplayable == "mute"
     assert load_config({"device": {"kind": "hid"}}).device.undisplayable == "lower"
     assert load_config({"device": {"kind": "replay", "replay": {"path": "x"}}}).device.undisplayable == "lower"
     assert load_config({"device": {"kind": "hid", "undisplayable": "mute"}}).device.undisplayable == "mute"
 
 
-def test_the_device_as_a_force_sees_it() -> None:
+def test_dynamics_of_handle_and_hand() -> None:
     sim = load_config({}).device
     assert sim.dynamics == Dynamics(0.04, 0.2, 0.05, 0.01, 5, 300)
     assert (sim.dynamics.mass_kg, sim.dynamics.damping_n_s_per_m) == (sim.effective_mass_kg, 5.2)
@@ -162,13 +162,13 @@ def test_start_is_inside_the_workspace() -> None:
     assert load_config({"device": {"sim": {"start_m": [0, -0.1], "workspace_m": 0.1}}}).device.sim.start_m[1] == -0.1
 
 
-def test_a_link_says_when_reports_come() -> None:
+def test_a_link_sets_interval_and_age_of_positions() -> None:
     assert load_config({}).device.sim.reports_s == (0, 0)
     sim = load_config({"device": {"sim": {"link": {"rate_hz": 250, "delay_frames": 3}}}}).device.sim
     assert sim.reports_s == pytest.approx((0.004, 0.012), rel=1e-15)
-    told = "with a link, report_interval_s and report_delay_s must be left out: the link has both"
+    text = "with a link, leave out report_interval_s and report_delay_s: the link sets both"
     for key in ("report_interval_s", "report_delay_s"):
-        assert faults({"device": {"sim": {"link": {"rate_hz": 1000}, key: 0.001}}}) == {"device.sim": told}
+        assert faults({"device": {"sim": {"link": {"rate_hz": 1000}, key: 0.001}}}) == {"device.sim": text}
     assert list(faults({"device": {"sim": {"link": {}}}})) == ["device.sim.link.rate_hz"]
 
 
@@ -229,7 +229,7 @@ def test_every_fault_names_file_line_key_and_limit(tmp_path: pathlib.Path) -> No
     }
 
 
-def test_unknown_materials_are_told_once_every_key_is_sound(tmp_path: pathlib.Path) -> None:
+def test_unknown_materials_are_reported_if_all_keys_are_valid(tmp_path: pathlib.Path) -> None:
     text = "scene:\n  objects:\n    t: {kind: wall, point_m: [0, 0], normal: [0, 1], material: pine}\n"
     path = write(tmp_path / "pine.yaml", text)
     ((where, problem),) = faults(path).items()
@@ -241,7 +241,7 @@ def test_unknown_materials_are_told_once_every_key_is_sound(tmp_path: pathlib.Pa
     assert load_config(own).materials["pine"].stiffness_n_per_m == 500
 
 
-def test_the_faults_of_all_files_are_told_by_file_and_line(tmp_path: pathlib.Path) -> None:
+def test_faults_of_all_files_are_reported_by_file_and_line(tmp_path: pathlib.Path) -> None:
     first, second = write(tmp_path / "a.yaml", "servo: {\n"), write(tmp_path / "b.yaml", "device: [\n")
     assert [where.partition(":")[0] for where in faults([second, first])] == [str(first), str(second)]
     write(first, "flight: {keep: 0}\nservo: {rate_hz: 1}\n")
@@ -256,11 +256,11 @@ def test_the_faults_of_all_files_are_told_by_file_and_line(tmp_path: pathlib.Pat
 @pytest.mark.parametrize("text", ["", "- servo\n", "servo\n"])
 def test_a_configuration_is_a_mapping(tmp_path: pathlib.Path, text: str) -> None:
     path = write(tmp_path / "c.yaml", text)
-    told = "must be a mapping" if text else "is empty"
-    assert faults(path) == {f"{path}:1:1": f"{told}; known keys: servo, device, materials, scene, flight"}
+    problem = "must be a mapping" if text else "is empty"
+    assert faults(path) == {f"{path}:1:1": f"{problem}; known keys: servo, device, materials, scene, flight"}
 
 
-def test_later_files_override_per_key_but_materials_and_objects_whole(tmp_path: pathlib.Path) -> None:
+def test_later_files_override_by_key_but_replace_materials_and_objects(tmp_path: pathlib.Path) -> None:
     first = write(
         tmp_path / "first.yaml",
         """
@@ -369,7 +369,7 @@ def test_a_mapping_that_holds_itself() -> None:
         load_config(data)
 
 
-def test_many_faults_are_all_kept_and_told_in_one_line() -> None:
+def test_many_faults_are_all_kept_and_shown_in_one_line() -> None:
     objects: Json = {f"o{i}": {"kind": "viscous"} for i in range(200)}
     with pytest.raises(InvalidError) as caught:
         load_config({"scene": {"objects": objects}})
@@ -416,7 +416,7 @@ json_values = st.recursive(
 
 
 def sections(inner: st.SearchStrategy[Json]) -> st.SearchStrategy[dict[str, Json]]:
-    """Data that is nearly right, so that faults are met at every depth."""
+    """Return a strategy for data that is almost valid, so that faults occur at every depth."""
     wall: st.SearchStrategy[Json] = st.fixed_dictionaries(
         {"kind": st.sampled_from(["wall", "membrane", "spring", "box", "disc", "zz"])},
         optional={
@@ -462,7 +462,7 @@ def sections(inner: st.SearchStrategy[Json]) -> st.SearchStrategy[dict[str, Json
 @pytest.mark.long
 @settings(max_examples=100)
 @given(sections(json_values) | st.dictionaries(words, json_values))
-def test_any_data_is_taken_or_refused(data: dict[str, Json]) -> None:
+def test_any_data_is_accepted_or_refused(data: dict[str, Json]) -> None:
     try:
         config = load_config(data)
     except InvalidError as error:
@@ -514,7 +514,7 @@ def test_default_configuration() -> None:
     assert default_config() is config
 
 
-def test_own_materials_replace_shipped_ones_whole() -> None:
+def test_materials_of_a_configuration_replace_shipped_ones_completely() -> None:
     config = load_config({"materials": {"wood": {"stiffness_n_per_m": 5}}})
     assert config.materials["wood"].tap is None
     assert config.materials["steel"] == shipped_materials()["steel"]

@@ -1,4 +1,4 @@
-"""What a document is, by its keys, and the command that a reader names which is given another one's file."""
+"""The kind of a document, from its keys, and the error if a command gets the file of another command."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ KINDS: list[tuple[str, str | None]] = [
 
 
 @pytest.mark.parametrize(("text", "kind"), KINDS, ids=range(len(KINDS)))
-def test_a_document_is_known_by_its_keys(text: str, kind: str | None) -> None:
+def test_the_keys_determine_the_kind_of_a_document(text: str, kind: str | None) -> None:
     assert kind_of(load_text(text, "f").data) == kind
 
 
@@ -108,15 +108,15 @@ def test_a_file_for_another_command_is_named_with_that_command(
     else:
         Path(name).write_text(text)
     it = "not a recording: it " if reader in ("replay", "fit tap") else ""
-    told = said(capsys, 1, *READERS[reader], name)
+    output = said(capsys, 1, *READERS[reader], name)
     meant = f"{it}holds {what}; use: hapticd {command} {name}"
     assert (
-        told == f"hapticd: {name}: {meant if text else 'an archive, not YAML; for a recording use: hapticd replay'}\n"
+        output == f"hapticd: {name}: {meant if text else 'an archive, not YAML; for a recording use: hapticd replay'}\n"
     )
     assert os.listdir() == [name]
 
 
-def test_a_scene_alone_is_a_configuration(tmp_path: Path) -> None:
+def test_a_bare_scene_is_a_configuration(tmp_path: Path) -> None:
     bare, section, materials = tmp_path / "bare.yaml", tmp_path / "section.yaml", tmp_path / "materials.yaml"
     bare.write_text(SCENE)
     section.write_text("scene:\n  " + SCENE.replace("\n", "\n  ").rstrip() + "\n")
@@ -126,7 +126,7 @@ def test_a_scene_alone_is_a_configuration(tmp_path: Path) -> None:
     assert list(both.scene.objects) == ["floor"] and both.materials["pine"].stiffness_n_per_m == 700
 
 
-def test_faults_of_a_scene_alone_are_told_where_they_are_in_the_file(
+def test_faults_of_a_bare_scene_name_their_place_in_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -139,7 +139,7 @@ def test_faults_of_a_scene_alone_are_told_where_they_are_in_the_file(
 
 
 @pytest.mark.parametrize(
-    ("gesture", "told"),
+    ("gesture", "problem"),
     [
         (
             "{kind: tapp, object: floor, speed_m_per_s: 0.1}",
@@ -149,10 +149,10 @@ def test_faults_of_a_scene_alone_are_told_where_they_are_in_the_file(
         ("{kind: tap, object: floor, sped_m_per_s: 0.1}", "unknown key; did you mean speed_m_per_s?"),
     ],
 )
-def test_gestures_with_slips(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], gesture: str, told: str
+def test_misspelt_gestures_are_refused_with_a_suggestion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], gesture: str, problem: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("s.yaml").write_text(SCENE + "  honey: {kind: viscous, damping_n_s_per_m: 1}\n")
     Path("g.yaml").write_text(f"gesture: {gesture}\n")
-    assert told in said(capsys, 1, "simulate", "s.yaml", "--operator", "g.yaml", "-o", "x.npz")
+    assert problem in said(capsys, 1, "simulate", "s.yaml", "--operator", "g.yaml", "-o", "x.npz")

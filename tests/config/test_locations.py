@@ -1,4 +1,4 @@
-"""Where the configuration is looked for, and that nothing takes the place of one that cannot be read."""
+"""Where the configuration is searched, and that an unreadable file is an error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support.cli import said
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A machine without a configuration; HOME is below the current folder."""
+    """Set up a machine without a configuration, whose HOME is below the current folder."""
     monkeypatch.chdir(tmp_path)
     for name in ("HAPTICD_CONFIG", "XDG_CONFIG_HOME", "RUNTIME_DIRECTORY", "STATE_DIRECTORY", "HAPTICD_RUNTIME_DIR"):
         monkeypatch.delenv(name, raising=False)
@@ -61,7 +61,7 @@ def test_a_relative_folder_of_the_user_is_ignored(home: Path) -> None:
     assert user_config({"XDG_CONFIG_HOME": "etc"}) == home / ".config/hapticd/config.yaml"
 
 
-def test_nothing_takes_the_place_of_one_that_cannot_be_read(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_is_an_error_and_not_skipped(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written(locations.SYSTEM_CONFIG, 1001)
     user = home / ".config/hapticd/config.yaml"
     user.parent.mkdir(parents=True)
@@ -86,7 +86,7 @@ COMMANDS += ["fit synthesize tap --material wood -o x.npz"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_it_holds_for_every_command(
+def test_every_command_reports_a_missing_file(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.setenv("HAPTICD_CONFIG", "gone.yaml")
@@ -129,7 +129,7 @@ def test_paths(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert not runtime.exists(), "nothing is made"
 
 
-def test_paths_in_words(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_paths_as_text(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["paths"]) == 0
     first, *rest = capsys.readouterr().out.splitlines()
     assert first == (
@@ -161,7 +161,7 @@ def test_paths_with_a_configuration_that_cannot_be_read(home: Path, capsys: pyte
 
 
 @pytest.mark.parametrize("command", ["paths", "doctor"])
-def test_a_file_that_is_missing_is_one_line_of_many(
+def test_a_missing_file_is_one_line_of_the_output(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     main([command])
@@ -169,7 +169,7 @@ def test_a_file_that_is_missing_is_one_line_of_many(
     monkeypatch.setenv("HAPTICD_CONFIG", "gone.yaml")
     assert main([command]) == 1
     captured = capsys.readouterr()
-    told = captured.out.splitlines()
-    assert sum("gone.yaml: no such file; HAPTICD_CONFIG names it" in line for line in told) == 1
-    assert len(told) >= sound
+    lines = captured.out.splitlines()
+    assert sum("gone.yaml: no such file; HAPTICD_CONFIG names it" in line for line in lines) == 1
+    assert len(lines) >= sound
     assert len(captured.err.splitlines()) == 1

@@ -58,7 +58,7 @@ def test_shipped_rupture_is_that_of_the_paper() -> None:
 
 
 @pytest.mark.parametrize(("name", "peak"), [("wood", "0.600"), ("acrylic", "0.470"), ("glass", "0.782")])
-def test_peaks_that_are_known(name: str, peak: str) -> None:
+def test_known_peaks(name: str, peak: str) -> None:
     tap = shipped_materials()[name].tap
     assert tap is not None
     assert f"{tap.mode.peak:.3f}" == peak
@@ -133,7 +133,7 @@ def test_a_rupture_is_given_once(keys: dict[str, Json], has: str) -> None:
     assert found == {"materials.m.rupture": f"needs either depth_m or both max_strain and radius_m, has {has}"}
 
 
-def test_every_fault_between_keys_is_told() -> None:
+def test_every_fault_between_keys_is_reported() -> None:
     found = faults({"m": {"stiffness_n_per_m": 1, "rupture": {"amplitude_m_per_s2": 1}}})
     assert found["materials.m.rupture"].count("needs") == 3
 
@@ -150,10 +150,10 @@ def test_every_fault_between_keys_is_told() -> None:
     ],
 )
 def test_names(name: str, problem: str) -> None:
-    ((where, told),) = faults({name: {"stiffness_n_per_m": 1}}).items()
+    ((where, text),) = faults({name: {"stiffness_n_per_m": 1}}).items()
     assert where.startswith("materials.")
     assert where.isprintable()
-    assert problem in told
+    assert problem in text
 
 
 @pytest.mark.parametrize("name", ["x" * 64, "cast iron", "Holz-3", "\u6728", "[key]", "wall"])

@@ -1,4 +1,4 @@
-"""What the simulated hand is told: messages, files, and gestures that do what they say on a handle that is held."""
+"""Operators of the simulated hand: messages, files, and gestures whose motion is checked on a held handle."""
 
 import itertools
 import math
@@ -36,7 +36,7 @@ def gesture(
 # ---- messages ---------------------------------------------------------------------------------------------
 
 
-def test_waypoints_are_taken_as_they_are() -> None:
+def test_waypoints_stay_unchanged() -> None:
     rows = [[0.0, 0.01, -0.02], [1, 0, 0.5], [1.5, -0.03, 2e-3]]
     for given in (rows, tuple(map(tuple, rows)), np.array(rows)):
         for chosen in ({}, {"interpolation": "linear"}, {"interpolation": "minimum_jerk"}):
@@ -134,7 +134,7 @@ def test_every_fault_is_named(params: Mapping[str, object], expected: list[tuple
 
 
 @pytest.mark.long
-def test_a_hopeless_list_is_not_answered_at_length() -> None:
+def test_a_list_of_faulty_waypoints_gives_few_problems() -> None:
     with pytest.raises(InvalidError) as error:
         parse_operator({"waypoints": [["x", "y", "z"]] * MAX_WAYPOINTS})
     assert len(error.value.problems) == 3
@@ -248,7 +248,7 @@ def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
 
 
 def along(target: Target, path: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Coordinates along and above a surface."""
+    """Return the coordinates of a path along and above a surface."""
     x, y = path[:, 1] - target.point_m[0], path[:, 2] - target.point_m[1]
     n_x, n_y = target.normal
     return x * n_y - y * n_x, x * n_x + y * n_y
@@ -272,7 +272,7 @@ def test_a_path_starts_at_the_reference_and_is_in_order(kind: str, reference: tu
     speeds = np.hypot(*np.diff(points, axis=0).T) / np.diff(times)
     fields = ALL[kind]
     assert speeds.max() == pytest.approx(max(0.15, float(str(fields["speed_m_per_s"]))), rel=1e-9)
-    # Nothing is touched on the way to the beginning: once above the surface it stays above until the gesture.
+    # The path touches nothing before the gesture: once above the surface, it stays above.
     _, heights = along(target, np.column_stack([times, points]))
     first = int(np.argmax(heights > 0.004))
     lowest = int(np.argmin(heights[first:])) + first
@@ -338,7 +338,7 @@ def test_a_gesture_beyond_the_end_of_a_surface(kind: str) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("damping", [1.0, 3.0, 5.0, 2 * math.sqrt(300 * 0.05), 9.0, 20.0])
 def test_settling(damping: float) -> None:
-    """Against a step-by-step integration of M e'' + b e' + k e = 0 with e(0) = 1, e'(0) = -b/M."""
+    """The settling time agrees with the integration of M e'' + b e' + k e = 0 from e(0) = 1, e'(0) = -b/M."""
     grip = Grip(stiffness_n_per_m=300.0, damping_n_s_per_m=damping, moving_mass_kg=0.05)
     step_s = 1e-5
     system = np.array([[0.0, 1.0], [-300 / 0.05, -damping / 0.05]]) * step_s
@@ -356,7 +356,7 @@ def test_settling(damping: float) -> None:
 
 @dataclass(frozen=True)
 class Held:
-    """A default joystick and hand against one spring surface at 10 kHz: heights, speeds, depths of the handle."""
+    """Heights, speeds and depths of the default handle and hand against a spring surface at 10 kHz."""
 
     along: npt.NDArray[np.float64]
     height: npt.NDArray[np.float64]
@@ -406,15 +406,15 @@ def test_a_tap_meets_the_surface_at_its_speed_and_stays(target: Target, stiffnes
     taps = list(onsets(run))
     assert len(taps) == 2
     for tick in taps:
-        # 1 % of the speed, and what is left of the friction of an oblique start.
+        # The tolerance is 1 % of the speed, and the remaining effect of friction after an oblique start.
         assert -run.speed[tick] == pytest.approx(speed, rel=0.012)
         assert run.along[tick] == pytest.approx(0.01, abs=5e-4)
-        # It rests on the surface for a while: long enough for the slowest mode of the library to ring out.
+        # The handle rests on the surface long enough for the slowest mode of the library to decay.
         assert (run.height[tick : tick + 1000] < 0).all()
 
 
 @pytest.mark.parametrize("press", [0.2, 1.0, 3.0])
-def test_a_stroke_presses_as_asked(press: float) -> None:
+def test_a_stroke_presses_with_the_given_force(press: float) -> None:
     reference = (0.0, 0.03)
     fields = {**ALL["stroke"], "press_n": press, "count": 3}
     run = held(FLOOR, reference, gesture(FLOOR, reference, **fields))
@@ -422,7 +422,7 @@ def test_a_stroke_presses_as_asked(press: float) -> None:
     assert len(touching) == 1
     inside = (run.along > -0.005) & (run.along < 0.015) & (run.height < 0)
     inside[: touching[0] + 3000] = False
-    # What friction holds back of the hand's pull may be missing, and no more.
+    # The force may be too small by the friction, but not by more.
     assert run.force[inside] == pytest.approx(press, abs=0.05 + 1e-3)
     assert run.along[run.height < 0].min() == pytest.approx(-0.01, abs=2e-3)
     assert run.along[run.height < 0].max() == pytest.approx(0.02, abs=2e-3)

@@ -1,4 +1,4 @@
-"""Patches of a wall, as they were given and in order, and how many a scene may have."""
+"""Patches of a wall: as given, in order along the wall, and limited in number."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GIVEN = [
 
 
 def wall(patches: list[Any]) -> Wall:
-    """A wall with these."""
+    """Return a wall with these patches."""
     made = validate_object(
         "w", {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood", "patches": patches}
     )
@@ -33,13 +33,13 @@ def wall(patches: list[Any]) -> Wall:
     return made
 
 
-def test_they_are_ordered_along_the_wall() -> None:
+def test_patches_are_ordered_along_the_wall() -> None:
     patches = wall(GIVEN).patches
     assert patches == tuple(Patch(**each) for each in GIVEN) and patches_in_order(patches) == [1, 0, 2]  # type: ignore[arg-type]
     assert wall([]).patches == ()
 
 
-def test_they_come_back_as_they_were_given() -> None:
+def test_patches_are_returned_as_given() -> None:
     made = wall(GIVEN)
     text = made.to_dict()
     assert text["patches"] == GIVEN and wall(GIVEN) == made
@@ -50,7 +50,7 @@ def test_they_come_back_as_they_were_given() -> None:
     assert Wall.model_construct(**{**made.__dict__, "patches": tuple(made.patches)}).to_dict() == text
 
 
-def test_a_wall_and_a_scene_have_so_many_at_most() -> None:
+def test_the_number_of_patches_is_limited() -> None:
     many = [{"from_m": 4e-4 * at, "to_m": 4e-4 * at + 3e-4, "material": "steel"} for at in range(MAX_PATCHES + 1)]
     with pytest.raises(InvalidError, match=f"patches: must hold at most {MAX_PATCHES} entries"):
         wall(many)
@@ -64,7 +64,7 @@ def test_a_wall_and_a_scene_have_so_many_at_most() -> None:
         Scene(objects={f"w{at}": large for at in range(count + 1)})
 
 
-def test_a_material_that_nothing_is_made_of_is_let_go() -> None:
+def test_an_unused_material_is_released() -> None:
     compiler = Compiler(output_of(Config.parsed({"device": {"kind": "sim"}}), 1000.0))
     plain = Material(stiffness_n_per_m=100.0)
     scene = Scene(objects={"w": wall([])})

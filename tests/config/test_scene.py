@@ -1,4 +1,4 @@
-"""Scenes: every kind of object, the faults and where they are told, names of materials, and round trips."""
+"""Scenes: every kind of object, faults and their places, names of materials, and round trips."""
 
 import math
 import pathlib
@@ -96,7 +96,7 @@ def test_a_normal_needs_a_direction(normal: Json) -> None:
     assert "a length of at least 1e-09" in problem
 
 
-def test_the_kind_is_no_part_of_a_path() -> None:
+def test_the_path_of_a_fault_does_not_contain_the_kind() -> None:
     bad: dict[str, Json] = {**WALL, "normal": [1, "x"], "wall": 1, "material": ""}
     for name in ("table", "wall", "spring", "objects"):
         assert faults(name, bad) == {
@@ -191,7 +191,7 @@ def test_number_of_objects_is_limited() -> None:
     assert len(scene.with_objects({"one": one, "o1": None}).objects) == MAX_OBJECTS
 
 
-def test_changes_leave_the_rest_as_it_is() -> None:
+def test_changes_leave_other_objects_unchanged() -> None:
     scene = validate_scene({"objects": ALL, "ramp_s": 0.5})
     changed = scene.with_objects({"a": None, "b": validate_object("b", VISCOUS), "nobody": None})
     assert list(scene.objects) == list(ALL)
@@ -229,7 +229,7 @@ def test_unknown_materials() -> None:
     assert reference_problems(validate_scene({"objects": ALL}).objects, shipped_materials()) == []
 
 
-def test_unknown_materials_are_not_told_without_end() -> None:
+def test_reported_unknown_materials_are_limited() -> None:
     objects: dict[str, Json] = {f"o{i}": {**BOX, "material": f"m{i}"} for i in range(MAX_FAULTS + 7)}
     problems = reference_problems(validate_scene({"objects": objects}).objects, ["wood"])
     assert len(problems) == MAX_FAULTS + 1
@@ -285,7 +285,7 @@ def test_patches_that_are_refused(patches: Json, where: str, problem: str) -> No
     assert next(iter(found.values())).startswith(problem)
 
 
-def test_overlaps_are_not_told_without_end() -> None:
+def test_reported_overlaps_are_limited() -> None:
     ((_, problem),) = faults("table", {**WALL, "patches": [patch(0, i + 1) for i in range(9)]}).items()
     assert problem.endswith("; and 3 more")
 
@@ -297,7 +297,7 @@ def test_patches_that_touch_after_rounding() -> None:
         "t", {**WALL, "patches": [patch(0.3, 0.5, "steel"), patch(0, edge), patch(-1e-5, 0, "wood")]}
     )
     assert isinstance(wall, Wall)
-    assert list(zip(*wall.stretches(), strict=True)) == [
+    assert list(zip(*wall.sections(), strict=True)) == [
         (-math.inf, "wood"),
         (-1e-5, "wood"),
         (0, "glass"),
@@ -306,10 +306,10 @@ def test_patches_that_touch_after_rounding() -> None:
     ]
 
 
-def test_pieces() -> None:
+def test_sections_of_a_wall() -> None:
     wall = validate_object("t", {**WALL, "patches": [patch(2, 3), patch(-1, 1, "steel")]})
     assert isinstance(wall, Wall)
-    assert list(zip(*wall.stretches(), strict=True)) == [
+    assert list(zip(*wall.sections(), strict=True)) == [
         (-math.inf, "wood"),
         (-1, "steel"),
         (1, "wood"),
@@ -318,18 +318,18 @@ def test_pieces() -> None:
     ]
     plain = validate_object("t", WALL)
     assert isinstance(plain, Wall)
-    assert list(zip(*plain.stretches(), strict=True)) == [(-math.inf, "wood")]
+    assert list(zip(*plain.sections(), strict=True)) == [(-math.inf, "wood")]
 
 
 @pytest.mark.long
 @given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=12, unique=True), st.randoms(use_true_random=False))
-def test_any_order_of_patches_gives_the_same_pieces(edges: list[int], random: Random) -> None:
+def test_any_order_of_patches_gives_the_same_sections(edges: list[int], random: Random) -> None:
     edges = sorted(edges)
     patches = [patch(a / 100, b / 100, f"m{a}") for a, b in pairwise(edges)]
     shuffled = random.sample(patches, len(patches))
     wall = validate_object("t", {**WALL, "patches": list[Json](shuffled)})
     assert isinstance(wall, Wall)
-    assert list(zip(*wall.stretches(), strict=True)) == [
+    assert list(zip(*wall.sections(), strict=True)) == [
         (-math.inf, "wood"),
         *((a / 100, f"m{a}") for a in edges[:-1]),
         (edges[-1] / 100, "wood"),
@@ -435,7 +435,7 @@ def test_faults_in_a_file_name_the_line(tmp_path: pathlib.Path, text: str, probl
         load_scene(path)
 
 
-def test_scenes_are_validated_object_by_object_and_come_out_the_same() -> None:
+def test_validation_object_by_object_gives_the_same_scene() -> None:
     wall = {"kind": "wall", "point_m": [0, 0], "normal": [0, 3], "material": "wood"}
     patches = [{"from_m": 0.001 * at, "to_m": 0.001 * at + 0.0004, "material": "steel"} for at in range(500)]
     data = {"ramp_s": 0.1, "objects": {f"wall {at}": wall for at in range(600)} | {"one": wall | {"patches": patches}}}
@@ -445,7 +445,7 @@ def test_scenes_are_validated_object_by_object_and_come_out_the_same() -> None:
     assert list(found.objects) == list(data["objects"])  # type: ignore[call-overload]
 
 
-def test_of_thousands_of_faults_the_first_are_told() -> None:
+def test_of_thousands_of_faults_the_first_are_reported() -> None:
     wall = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
     with pytest.raises(InvalidError) as refused:
         validate_scene({"objects": {f"w{at}": 1 for at in range(5000)}}, ("scene",))

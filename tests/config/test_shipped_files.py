@@ -54,7 +54,7 @@ def test_a_shipped_scene_is_simulated_by_its_name(name: str, capsys: pytest.Capt
     assert Path("by_name.csv").read_bytes() == Path("by_path.csv").read_bytes()
 
 
-def test_a_scene_of_ones_own_needs_an_operator(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scene_file_needs_an_operator(capsys: pytest.CaptureFixture[str]) -> None:
     Path("s.yaml").write_text("objects: {}\n")
     assert "Missing option '--operator': a file with the motion of the hand, or one of around, corner," in said(
         capsys, 2, "simulate", "s.yaml", "-o", "x.npz"
@@ -63,11 +63,11 @@ def test_a_scene_of_ones_own_needs_an_operator(capsys: pytest.CaptureFixture[str
     assert "s.yaml: holds a gesture; use: hapticd operator s.yaml" in said(capsys, 1, "simulate", "s.yaml")
 
 
-def test_check_takes_a_shipped_scene(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_accepts_a_shipped_scene(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "-c", "comb"]) == 0
     out = capsys.readouterr().out
     assert "slippery" in out
-    # As a person writes numbers: no 10000 Hz, no 2.304e+03.
+    # Numbers are written for people: neither 10000 Hz nor 2.304e+03.
     assert "servo at 10 kHz\n" in out and " 2,304 " in out and "e+0" not in out
     assert "did you mean comb?" in said(capsys, 1, "check", "-c", "cmb")
 

@@ -1,6 +1,6 @@
-"""Every shipped scene with the operator that its comment names: what the comment promises happens.
+"""Every shipped scene with the operator that its comment names does what the comment says.
 
-Expected values are those of docs/materials.md, worked out here; mass, hand and limits are the defaults: 0.05 kg, a hand
+Expected values follow from docs/materials.md; mass, hand and limits are the defaults: 0.05 kg, a hand
 of 300 N/m, 10,000 ticks a second.
 """
 
@@ -31,7 +31,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def operator_of(scene: Path) -> str:
-    """What the comment at the top of a scene ends with."""
+    """Return the operator that the first comment of a scene names."""
     comment = re.match(r"(?:#.*\n)+", scene.read_text())
     assert comment is not None, scene
     named = re.search(r"\bOperator: (\w+\.yaml)\n\Z", comment[0])
@@ -45,8 +45,8 @@ def run_of(name: str) -> Run:
     return simulate_run(str(scene), str(CONFIG / "operators" / operator_of(scene)))
 
 
-def told(run: Run, *kinds: EventKind) -> list[tuple[str, str, Any]]:
-    """Kind, object and record of the events of these kinds, in their order."""
+def events_of(run: Run, *kinds: EventKind) -> list[tuple[str, str, Any]]:
+    """Return kind, object and record of the events of these kinds, in order."""
     return [
         (EventKind(int(event["kind"])).name, run.objects[int(event["slot"]), int(event["generation"])], event)
         for event in run.events
@@ -56,11 +56,11 @@ def told(run: Run, *kinds: EventKind) -> list[tuple[str, str, Any]]:
 
 def touches(run: Run) -> list[tuple[str, str]]:
     kinds = EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE
-    return [(kind, name) for kind, name, _ in told(run, *kinds)]
+    return [(kind, name) for kind, name, _ in events_of(run, *kinds)]
 
 
 def handle(run: Run) -> tuple[Floats, Floats]:
-    """True positions and velocities, each of shape (n, 2)."""
+    """Return the exact positions and velocities of the handle, each of shape (n, 2)."""
     assert run.truth is not None
     return run.truth[:, :2], run.truth[:, 2:]
 
@@ -72,7 +72,7 @@ def at(run: Run, time_s: float) -> int:
 
 
 def sliding(run: Run, left: float, right: float, way: int) -> npt.NDArray[np.bool_]:
-    """Ticks at which the handle is between two places and moves one way, at 0.05 m/s or more."""
+    """Return, by tick, whether `left` < x < `right` and the handle moves in direction `way` at 0.05 m/s or more."""
     position, velocity = handle(run)
     inside: npt.NDArray[np.bool_] = (position[:, 0] > left) & (position[:, 0] < right) & (way * velocity[:, 0] > 0.05)
     assert inside.any()
@@ -80,7 +80,7 @@ def sliding(run: Run, left: float, right: float, way: int) -> npt.NDArray[np.boo
 
 
 def beginnings(wanted: npt.NDArray[np.bool_]) -> int:
-    """How often something that was false becomes true."""
+    """Return how often `wanted` changes from false to true."""
     return int(np.count_nonzero(wanted[1:] & ~wanted[:-1]))
 
 
@@ -97,7 +97,7 @@ def test_a_run_starts_in_the_open_and_stays_within_the_limits(name: str) -> None
     assert not flags[0] & Flag.CONTACT
     assert not (flags & (Flag.SATURATED | Flag.GLITCH | Flag.FAULT)).any()
     assert np.abs(run.samples["force_n"][0]).max() < 0.01
-    contacts = told(run, EventKind.CONTACT)
+    contacts = events_of(run, EventKind.CONTACT)
     assert not any(int(event["code"]) & lib.HD_CONTACT_SILENT for _, _, event in contacts)
     assert not flags[-1] & Flag.CONTACT
 
@@ -106,9 +106,9 @@ def test_the_combs() -> None:
     run = run_of("comb")
     position, _ = handle(run)
     force = run.samples["contact_force_n"][:, 0]
-    strikes = told(run, EventKind.GROOVE)
+    strikes = events_of(run, EventKind.GROOVE)
     assert {name for _, name, _ in strikes} == {"floor"}
-    passed = [k * 0.0048 for k in range(-8, -3)]  # from where the stroke begins to where the patch ends
+    passed = [k * 0.0048 for k in range(-8, -3)]  # from the beginning of the stroke to the end of the patch
     places = [position[int(event["tick"]), 0] for _, _, event in strikes]
     # A strike comes within a tick of 10 um and a step of the encoder, 20 um, of its groove.
     assert places == pytest.approx(passed + passed[::-1], abs=50e-6)
@@ -117,7 +117,7 @@ def test_the_combs() -> None:
     assert position[loud, 0].max() < -0.015
     for way in (1, -1):
         shaped = force[sliding(run, -0.015, 0.015, way)]
-        assert beginnings(shaped > 0.1) == beginnings(shaped < -0.1) == 7  # each of k = -3 to 3 pulls in, then holds
+        assert beginnings(shaped > 0.1) == beginnings(shaped < -0.1) == 7  # grooves k = -3 to 3
         dragged = way * force[sliding(run, 0.016, 0.0395, way)]
         assert beginnings(dragged < -0.1) == 5  # k = 4 to 8
         assert dragged.max() < 0.01
@@ -131,7 +131,7 @@ def test_the_sandpapers() -> None:
     for left, velocity_gain, force_gain in ((-0.04, 30, 3), (-0.02, 24, 2.4), (0, 12, 1.2), (0.02, 8, 0.8)):
         there = sliding(run, left + 0.002, left + 0.018, 1) | sliding(run, left + 0.002, left + 0.018, -1)
         found.append(float(np.sqrt(np.mean(force[there, 0] ** 2))))
-        # 0.3 s of noise of some 200 Hz have an RMS that is uncertain by a twelfth or so.
+        # The RMS of 0.3 s of noise around 200 Hz is uncertain by about 8 %.
         assert found[-1] == pytest.approx(MASS_KG * (velocity_gain * 0.1 + force_gain * pressed), rel=0.2)
     assert found == sorted(found, reverse=True)
     assert not force[:, 1].any()
@@ -152,7 +152,7 @@ def test_around_the_solids() -> None:
     force = run.samples["contact_force_n"]
     assert touches(run) == [
         ("CONTACT", "floor"),
-        ("CONTACT", "box"),  # in the corner, the floor is touched too
+        ("CONTACT", "box"),  # in the corner the handle also touches the floor
         ("RELEASE", "floor"),
         ("RELEASE", "box"),
         ("CONTACT", "box"),
@@ -162,15 +162,15 @@ def test_around_the_solids() -> None:
         ("CONTACT", "card"),
         ("RELEASE", "card"),
     ]
-    assert force[at(run, 1.1)] == pytest.approx([-0.65, 0.65], abs=0.05)  # 3 mm through 300 and 800 N/m, both ways
+    assert force[at(run, 1.1)] == pytest.approx([-0.65, 0.65], abs=0.05)  # 3 mm, 300 and 800 N/m in series
     assert force[at(run, 2.2)] == pytest.approx([0, 0.65], abs=0.05)
-    assert not force[at(run, 2.45)].any()  # over the edge of the box
+    assert not force[at(run, 2.45)].any()  # past the edge of the box
     out = position - [0.01, 0]
     distance = np.linalg.norm(out, axis=1)
     on_the_disc = distance < 0.008
-    pushed = (800 * (0.008 / distance - 1))[:, np.newaxis] * out  # away from its middle
+    pushed = (800 * (0.008 / distance - 1))[:, np.newaxis] * out  # away from the middle of the disc
     assert force[on_the_disc] == pytest.approx(pushed[on_the_disc], abs=0.05)
-    assert force[at(run, 3), 0] < -0.1 < 0.1 < force[at(run, 3.6), 0]  # from its left to its right
+    assert force[at(run, 3), 0] < -0.1 < 0.1 < force[at(run, 3.6), 0]  # from left to right over the disc
     assert force[at(run, 4.7), 0] < -0.5
     assert position[:, 0].max() < 0.042  # the card holds
 
@@ -184,7 +184,7 @@ def test_through_the_skin_and_onto_the_floor() -> None:
         ("CONTACT", "floor"),
         ("RELEASE", "floor"),
     ]
-    ((_, _, puncture),) = told(run, EventKind.PUNCTURE)
+    ((_, _, puncture),) = events_of(run, EventKind.PUNCTURE)
     assert puncture["value"] == pytest.approx(0.004, abs=50e-6)
     tick = int(puncture["tick"])
     force = run.samples["contact_force_n"][:, 1]
@@ -192,7 +192,7 @@ def test_through_the_skin_and_onto_the_floor() -> None:
     assert force[tick + 1] == 0
     assert np.abs(run.samples["vibration_force_n"][tick : tick + 100, 1]).max() > 0.5
     assert force[at(run, 1.35)] == pytest.approx(0.005 / (1 / 300 + 1 / 800), rel=0.05)
-    assert handle(run)[0][-1, 1] > 0.025  # out again, through the hole
+    assert handle(run)[0][-1, 1] > 0.025  # back above the membrane, through the hole
 
 
 def test_the_seven_materials() -> None:
@@ -200,7 +200,7 @@ def test_the_seven_materials() -> None:
     with (Path(__file__).parents[1] / "data" / "okamura1998_tapping.csv").open() as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     slopes = {row["material"]: float(row["attack_slope_per_s"]) for row in rows}
-    contacts = told(run, EventKind.CONTACT)
+    contacts = events_of(run, EventKind.CONTACT)
     assert [name for _, name, _ in contacts] == list(slopes)
     for _, name, event in contacts:
         assert event["true_speed_m_per_s"] == pytest.approx(0.1, rel=0.02)

@@ -33,7 +33,7 @@ def material(table: Mapping[str, object] = TABLE, **tap: object) -> dict[str, An
 
 
 def mode_of(speed: float) -> tuple[float, float]:
-    """Hz and s, by numpy, whose interpolation stays at the ends."""
+    """Return frequency in Hz and decay time in s by numpy.interp, which is constant beyond the ends."""
     return float(np.interp(speed, SPEEDS, HERTZ)), float(np.interp(speed, SPEEDS, DECAYS))
 
 
@@ -45,7 +45,7 @@ def form(since: Floats, hertz: float, decay_s: float) -> Floats:
 def struck(
     made: dict[str, Any], speed: float, rate_hz: float = RATE, count: int = 900, **device: object
 ) -> tuple[Rig, Floats, Floats]:
-    """One approach: the vibration over mass, and times since the onset."""
+    """Render one approach; return the vibration divided by the mass, and times since the onset in s."""
     device = {"max_force_n": 100, "max_speed_m_per_s": 1000, **device}
     rig = Rig({"w": {**FLOOR, "material": "m"}}, materials={"m": made}, device=device, rate_hz=rate_hz)
     time_s = np.arange(count) / rate_hz
@@ -83,9 +83,9 @@ def test_a_first_peak_is_that_of_the_mode_that_rings(speed: float) -> None:
     np.testing.assert_allclose(heard[judged], wanted[judged], rtol=0, atol=1e-8 * np.abs(wanted).max())
 
 
-def test_taps_of_other_speeds_ring_on_beside_each_other() -> None:
+def test_taps_of_different_speeds_ring_together() -> None:
     rig = Rig({"w": {**FLOOR, "material": "m"}}, materials={"m": material()}, device={"max_force_n": 100})
-    # In at 0.15 m/s, out, and in again at 0.3 m/s before the first has ended.
+    # A tap at 0.15 m/s, then one at 0.3 m/s before the first has decayed.
     first, out, again = -0.15 * np.arange(20) / RATE, np.array([0.0005]), 0.00033 - 0.3 * np.arange(200) / RATE
     y = np.concatenate((0.0001234 + first, out, again))
     speed = np.concatenate((np.full(20, -0.15), [0.0], np.full(200, -0.3)))
@@ -100,15 +100,15 @@ def test_taps_of_other_speeds_ring_on_beside_each_other() -> None:
     )
 
 
-def test_at_one_speed_for_all_it_is_the_same_bits_as_one_mode() -> None:
+def test_a_table_of_one_speed_equals_one_mode() -> None:
     one = material({"speeds_m_per_s": [0.1], "frequencies_hz": [210], "decay_times_s": [0.008]})
     plain = {**one, "tap": {"attack_slope_per_s": SLOPE, "frequency_hz": 210, "decay_time_s": 0.008}}
     np.testing.assert_allclose(struck(one, 0.23)[1], struck(plain, 0.23)[1], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("what", ["mute", "lower"])
-def test_above_what_the_rate_carries_a_tap_is_lowered_with_its_first_peak_or_silent(what: str) -> None:
-    """At 600 Hz modes go up to 240 Hz; at 0.35 m/s it is 247.5."""
+def test_a_tap_above_the_displayable_limit_is_lowered_or_muted(what: str) -> None:
+    """At a rate of 600 Hz the limit is 240 Hz; the tap at 0.35 m/s has 247.5 Hz."""
     speed = 0.35
     rig, heard, since = struck(material(second={**SECOND, "frequency_hz": 80.0}), speed, 600.0, 60, undisplayable=what)
     hertz, decay_s = mode_of(speed)
@@ -116,9 +116,9 @@ def test_above_what_the_rate_carries_a_tap_is_lowered_with_its_first_peak_or_sil
     part = form(fine, hertz, decay_s).max() / form(fine, 240.0, decay_s).max() if what == "lower" else 0.0
     wanted = SLOPE * speed * (part * form(since, 240.0, decay_s) + 0.4 * form(since, 80.0, 0.003))
     np.testing.assert_allclose(heard, wanted, rtol=0, atol=1e-7 * np.abs(wanted).max())
-    (told,) = undisplayable({"m": rig.config.materials["m"]}, output_of(rig.config, 600))
-    assert (told.mode, told.frequency_hz) == ("tap", pytest.approx(260.0))
-    # A slow tap is as it is.
+    (muted,) = undisplayable({"m": rig.config.materials["m"]}, output_of(rig.config, 600))
+    assert (muted.mode, muted.frequency_hz) == ("tap", pytest.approx(260.0))
+    # A slow tap is unchanged.
     slow, since = struck(material(), 0.1, 600.0, 60, undisplayable=what)[1:]
     np.testing.assert_allclose(slow, 30.0 * form(since, 120.0, 0.004), rtol=0, atol=1e-9)
 
@@ -132,7 +132,7 @@ HANDLE = {
 @pytest.mark.parametrize("compensation", ["mass", "full"])
 @pytest.mark.slow
 def test_compensated_taps_are_displayed_as_those_of_one_mode(compensation: str) -> None:
-    """Between the speeds of the design, too: the tail is a common one, and the first samples are not corrected."""
+    """This also holds between the speeds of the table: the tail is common, and the first samples are not corrected."""
     for speed in (0.1, 0.16, 0.33):
         hertz, decay_s = mode_of(speed)
         one = {"attack_slope_per_s": SLOPE, "frequency_hz": hertz, "decay_time_s": decay_s}
@@ -144,7 +144,7 @@ def test_compensated_taps_are_displayed_as_those_of_one_mode(compensation: str) 
 
 
 @pytest.mark.parametrize(
-    ("tap", "told"),
+    ("tap", "problem"),
     [
         ({"frequency_hz": 100}, "has a mode_table, which gives frequency and decay: leave out frequency_hz"),
         ({"decay_rate_per_s": 100}, "leave out decay_rate_per_s"),
@@ -163,13 +163,13 @@ def test_compensated_taps_are_displayed_as_those_of_one_mode(compensation: str) 
         ),
     ],
 )
-def test_what_does_not_go_together_is_told(tap: dict[str, object], told: str) -> None:
+def test_invalid_combinations_of_keys_are_reported(tap: dict[str, object], problem: str) -> None:
     with pytest.raises(InvalidError) as error:
         validate_materials({"m": material(**tap)})
-    assert told in str(error.value)
+    assert problem in str(error.value)
 
 
-def test_grooves_need_a_mode_of_their_own() -> None:
+def test_grooves_need_a_separate_mode_if_the_tap_has_a_table() -> None:
     grooves = {
         "kind": "grooves",
         "display": "vibration",
@@ -177,11 +177,11 @@ def test_grooves_need_a_mode_of_their_own() -> None:
         "width_m": 0.001,
         "force_gain_m_per_s2_per_n": 1,
     }
-    with pytest.raises(InvalidError, match="as the tap has a mode_table"):
+    with pytest.raises(InvalidError, match="because the tap has a mode_table"):
         validate_materials({"m": {**material(), "texture": grooves}})
 
 
-def test_a_material_comes_back_as_it_was_given() -> None:
+def test_a_material_is_returned_as_given() -> None:
     found = validate_materials({"m": material()})["m"]
     again = validate_materials({"m": found.to_dict()})["m"]
     assert again == found and found.tap is not None
@@ -192,7 +192,7 @@ def test_a_material_comes_back_as_it_was_given() -> None:
     assert found.tap.mode.frequency_hz == pytest.approx(float(np.interp(0.25, SPEEDS, HERTZ)))
 
 
-def test_a_table_has_as_many_points_as_the_tick_takes() -> None:
+def test_a_table_of_the_maximum_length_is_rendered() -> None:
     assert MAX_TABLE_POINTS == lib.HD_TUNE_POINTS
     rises = (0.1 * np.arange(1, MAX_TABLE_POINTS + 1)).tolist()
     full = {

@@ -1,4 +1,4 @@
-"""Friction and textures as people write them: what is taken, what is refused and in which words, what ships."""
+"""Friction and textures in YAML: valid ones, texts of faults, and the shipped ones."""
 
 import math
 import pathlib
@@ -55,7 +55,7 @@ def models(*changes: Mapping[str, Json]) -> Keys:
     return {**AUTOREGRESSIVE, "models": [{**MODEL, **change} for change in changes]}
 
 
-# ---- what is taken --------------------------------------------------------------------------------
+# ---- valid textures -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("texture", [VIBRATION, GEOMETRY, DAMPING, STOCHASTIC, AUTOREGRESSIVE])
@@ -67,7 +67,7 @@ def test_canonical_form_is_valid_and_stays(texture: Keys) -> None:
     assert again.to_dict() == taken.to_dict()
 
 
-def test_canonical_form_has_the_keys_of_its_display_alone() -> None:
+def test_canonical_form_has_only_the_keys_of_its_display() -> None:
     assert material(texture=GEOMETRY).to_dict()["texture"] == GEOMETRY
     assert material(texture=DAMPING).to_dict()["texture"] == DAMPING
     assert material(texture=VIBRATION).to_dict()["texture"] == {**VIBRATION, "force_gain_m_per_s2_per_n": 0}
@@ -105,16 +105,16 @@ def test_gains_of_noise_may_be_negative() -> None:
     assert texture.force_gain_m_per_s2_per_n == -5
 
 
-def test_the_level_is_given_by_rms_or_by_the_variance_of_the_innovation() -> None:
+def test_noise_is_given_by_rms_or_by_the_variance_of_the_innovation() -> None:
     by_variance = {**without(MODEL, "rms_m_per_s2"), "variance_m2_per_s4": 4}
     assert AutoregressiveModel.model_validate(MODEL).level((0.6,)) == 2
     assert AutoregressiveModel.model_validate(by_variance).level((0.6,)) == pytest.approx(2.5, rel=1e-15)
 
 
-# ---- what is refused ------------------------------------------------------------------------------
+# ---- faults ---------------------------------------------------------------------------------------
 
 
-# The variance of the innovation, through a pole close to the circle.
+# The variance of the innovation gives a large RMS with a pole close to the unit circle.
 LOUD: Keys = {"variance_m2_per_s4": 1e10, "rms_m_per_s2": None, "coefficients": [-1 + 1e-13]}
 
 
@@ -124,33 +124,33 @@ LOUD: Keys = {"variance_m2_per_s4": 1e10, "rms_m_per_s2": None, "coefficients": 
         ({**VIBRATION, "width_m": 0.003}, "width_m must be at most spacing_m, 0.002, is 0.003"),
         (
             without(VIBRATION, "velocity_gain_per_s"),
-            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0; otherwise it is silent",
+            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0; otherwise the texture is silent",
         ),
         (
             without(VIBRATION, *MODE),
-            "needs a mode: its own frequency_hz and decay_time_s, or a tap of the material",
+            "needs a mode: frequency_hz and decay_time_s of the texture, or a tap of the material",
         ),
         (
             without(VIBRATION, "frequency_hz"),
             "needs exactly one of frequency_hz and angular_frequency_rad_per_s, has neither",
         ),
         ({**VIBRATION, "decay_rate_per_s": 300}, "needs exactly one of decay_time_s and decay_rate_per_s, has both"),
-        ({**VIBRATION, "depth_m": 0.001}, "depth_m belongs to display geometry, this one is vibration"),
+        ({**VIBRATION, "depth_m": 0.001}, "depth_m belongs to display geometry, but display is vibration"),
         (without(GEOMETRY, "depth_m"), "needs depth_m to be displayed as geometry"),
-        ({**GEOMETRY, "frequency_hz": 3}, "frequency_hz belongs to display vibration, this one is geometry"),
+        ({**GEOMETRY, "frequency_hz": 3}, "frequency_hz belongs to display vibration, but display is geometry"),
         (
             {**GEOMETRY, "velocity_gain_per_s": 0},
-            "velocity_gain_per_s belongs to display vibration, this one is geometry",
+            "velocity_gain_per_s belongs to display vibration, but display is geometry",
         ),
         (without(DAMPING, "damping_n_s_per_m"), "needs damping_n_s_per_m to be displayed as damping"),
-        ({**DAMPING, "depth_m": 0.001}, "depth_m belongs to display geometry, this one is damping"),
+        ({**DAMPING, "depth_m": 0.001}, "depth_m belongs to display geometry, but display is damping"),
         (
             {**STOCHASTIC, "velocity_gain_per_s": 0},
-            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0; otherwise it is silent",
+            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0; otherwise the texture is silent",
         ),
         (
             {**STOCHASTIC, "velocity_gain_per_s": -1, "force_gain_m_per_s2_per_n": -1},
-            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0; otherwise it is silent",
+            "needs velocity_gain_per_s or force_gain_m_per_s2_per_n above 0; otherwise the texture is silent",
         ),
         (models({}, {"force_n": 2}, {}), "models[0] and models[2] are both at 0.1 m/s and 1 N"),
     ],
@@ -159,7 +159,7 @@ def test_faults_between_keys(keys: Keys, problem: str) -> None:
     assert faults(texture=keys) == {"texture": problem}
 
 
-def test_the_fault_of_a_tap_is_not_told_twice() -> None:
+def test_the_fault_of_a_tap_is_reported_once() -> None:
     assert list(faults(texture=without(VIBRATION, *MODE), tap={"attack_slope_per_s": -1})) == ["tap.attack_slope_per_s"]
 
 
@@ -218,7 +218,7 @@ def test_both_or_neither_innovation() -> None:
 
 @given(st.floats(0.001, 1.5), st.floats(0.01, math.pi - 0.01), st.floats(-0.9, 0.9))
 def test_unstable_models_are_refused(radius: float, angle: float, real: float) -> None:
-    """Coefficients from poles, by multiplying out."""
+    """Coefficients are computed from poles, by multiplying out."""
     pair = (1.0, -2 * radius * math.cos(angle), radius**2)
     coefficients = np.convolve(pair, (1.0, -real))[1:].tolist()
     largest = max(radius, abs(real))
@@ -246,7 +246,7 @@ def test_the_rms_that_is_refused_is_that_of_the_model() -> None:
     assert f"has an RMS of {expected:.6g} m/s^2" in problem
 
 
-def test_every_fault_of_every_model_is_told() -> None:
+def test_every_fault_of_every_model_is_reported() -> None:
     keys = models({"coefficients": [-2]}, {"coefficients": [3.0]}, {"force_n": -1}, {"coefficients": ["x"]})
     assert set(faults(texture=keys)) == {
         "texture.models[0]",
@@ -278,14 +278,14 @@ def test_faults_of_friction(keys: Keys, where: str, problem: str) -> None:
     assert faults(friction=keys) == {f"friction.{where}": problem}
 
 
-# ---- what ships -----------------------------------------------------------------------------------
+# ---- shipped textures -----------------------------------------------------------------------------
 
 SPACINGS_UM = (1600, 2400, 4800, 6400)
-"""Those that the paper compares."""
+"""Spacings that the paper compares."""
 GRITS = (60, 100, 400, 600)
-"""Those that the paper measured."""
+"""Grits that the paper measured."""
 SIM_DAMPING = 5.2
-"""Of the simulated handle in its hand, N s/m."""
+"""Damping of the simulated handle and hand, in N s/m."""
 
 
 def test_names() -> None:
@@ -325,7 +325,7 @@ def printed(section: str) -> Mapping[str, float]:
 
 
 def test_combs_and_sandpapers_are_those_that_the_paper_names() -> None:
-    """What it prints of them: the measured comb, the spacings that were compared, the comb of Figure 5, the grits."""
+    """The paper gives the measured comb, the compared spacings, the comb of Figure 5, and the grits."""
     measured, comb = printed("grooves_measured"), grooves("comb")
     for key in ("spacing_m", "width_m", "velocity_gain_per_s", "force_gain_m_per_s2_per_n"):
         assert getattr(comb, key) == measured[key]
@@ -396,7 +396,7 @@ def test_sandpapers_go_from_coarse_to_fine() -> None:
     assert len(seeds) == len(GRITS)
 
 
-def test_friction_that_ships_is_held_still_at_1_khz() -> None:
+def test_shipped_friction_is_stable_at_1_khz() -> None:
     coefficients = []
     for name in ("slippery", "sticky"):
         shipped = shipped_materials()[name]

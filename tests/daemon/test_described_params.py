@@ -56,7 +56,7 @@ SAYS: Final = {
     "grooves": "width_m must be at most spacing_m",
     "waveform": r"of the samples must be 0|needs a sample that is not 0|must last at most",
     "models": r"is unstable|has an RMS of|different (speed|force)|are both at",
-    "provenance": r"must be a day|must not end below",
+    "provenance": r"must be a date|low <= high",
     "stroke": "from_m and to_m must differ",
     "json": r"must be a JSON value|bytes as JSON|^data\S*: must be finite",
     "known": r"unknown (material|object)|has the id|cannot be removed|is a waveform, which play|neither a tap nor",

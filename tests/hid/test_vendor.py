@@ -158,7 +158,7 @@ def test_a_single_axis_stays_where_it_is_along_the_other() -> None:
         (
             {"output__x": {"bit_offset": 40}},
             "output",
-            "x ends at bit 55, a report of 6 bytes at bit 47",
+            "x ends at bit 55, but 6 bytes end at bit 47",
         ),
         (
             {"output__y": {"bit_offset": 8}},

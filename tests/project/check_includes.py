@@ -1,7 +1,7 @@
 """The rooms of csrc/ and their order: `python -m tests.project.check_includes` names each include that breaks it.
 
-A room includes only rooms above it in ROOMS, and of another room only its door. Within a room, a .c file and its header
-count as one file, and files include each other in no circle. The first line of each file is a comment of at least four
+A room includes only rooms above it in ROOMS, and of another room only its public header. Within a room, a .c file and
+its header count as one file, and includes form no circle. The first line of each file is a comment of at least four
 words that says what the file is for; in rooms of many files one header lists them all.
 """
 
@@ -13,23 +13,23 @@ from pathlib import Path
 from typing import Final
 
 ROOMS: Final = ("api", "base", "shapes", "scene", "tick", "device", "servo")
-DOORS: Final = {
+PUBLIC_HEADERS: Final = {
     "api": "hd_core.h",
     "shapes": "hd_shape.h",
     "scene": "hd_world.h",
     "tick": "hd_tick.h",
     "device": "hd_device.h",
 }
-"""The header of each room for the others. Each header of base/ is one tool, for everybody."""
+"""The public header of each room. All headers of base/ are public."""
 
-MAPS: Final = {"base": "hd_rt.h", "tick": "hd_tick.h", "device": "hd_device.h"}
+LISTING_HEADERS: Final = {"base": "hd_rt.h", "tick": "hd_tick.h", "device": "hd_device.h"}
 """The header whose first comment lists the files of its room."""
 
 CSRC: Final = Path(__file__).resolve().parents[2] / "csrc"
 INCLUDE: Final = re.compile(r'^\s*#\s*include\s*"([^"]+)"', re.M)
 
 Includes = dict[str, list[str]]
-"""What each file includes, both as ROOM/NAME."""
+"""The included files of each file, all as ROOM/NAME."""
 
 
 def includes_of(csrc: Path) -> Includes:
@@ -42,18 +42,18 @@ def includes_of(csrc: Path) -> Includes:
 def _wrong(file: str, included: str) -> str | None:
     room, other = file.split("/")[0], included.split("/")[0]
     if room not in ROOMS:
-        return f"csrc/{file}: {room}/ is none of the rooms {', '.join(ROOMS)}"
+        return f"csrc/{file}: {room}/ is not one of the rooms {', '.join(ROOMS)}"
     if other not in ROOMS or "/" not in included:
         return f'csrc/{file} includes "{included}", which does not begin with a room'
     if ROOMS.index(other) > ROOMS.index(room):
-        return f"csrc/{file} includes {included}, of a room below its own"
-    if other not in (room, "base") and included.split("/")[1] != DOORS[other]:
-        return f"csrc/{file} includes {included}, an inner header; the door of {other}/ is {DOORS[other]}"
+        return f"csrc/{file} includes {included}, of a room below"
+    if other not in (room, "base") and included.split("/")[1] != PUBLIC_HEADERS[other]:
+        return f"csrc/{file} includes {included}, a private header; public: {PUBLIC_HEADERS[other]}"
     return None
 
 
 def _circle(edges: dict[str, set[str]]) -> list[str]:
-    """The first circle, beginning and ending with the same name; [] where there is none."""
+    """Return the first circle of includes, which begins and ends with the same name; [] if there is no circle."""
     done: set[str] = set()
 
     def visit(name: str, path: list[str]) -> list[str]:
@@ -70,7 +70,7 @@ def _circle(edges: dict[str, set[str]]) -> list[str]:
 
 
 def faults(includes: Includes) -> list[str]:
-    """One line each."""
+    """Return a line for each include that breaks a rule."""
     found = [fault for file, all_of in includes.items() for one in all_of if (fault := _wrong(file, one))]
     edges: dict[str, set[str]] = {}
     for file, all_of in includes.items():
@@ -84,29 +84,29 @@ def faults(includes: Includes) -> list[str]:
     return found
 
 
-def says_its_job(text: str) -> bool:
-    """Whether the first line is a comment of at least four words; the name of a file is none."""
+def has_purpose_comment(text: str) -> bool:
+    """Return whether the first line is a comment of at least four words; names of files do not count."""
     comment = re.match(r"/\*(.*?)(\*/|\n)", text)
     words = comment[1].split() if comment else []
     return sum(re.fullmatch(r"[A-Za-z'-]+[,.:;]?", word) is not None for word in words) >= 4
 
 
-def silent_files(csrc: Path) -> list[str]:
-    """One line for each file that does not say what it is for, or is missing in the map of its room."""
+def unexplained_files(csrc: Path) -> list[str]:
+    """Return a line for each file without a comment on its purpose, and each that the list of its room lacks."""
     found = []
     for path in sorted(csrc.glob("*/*.[ch]")):
         name = path.relative_to(csrc).as_posix()
-        if not says_its_job(path.read_text(encoding="utf-8")):
-            found.append(f"csrc/{name}: the first line is no comment that says what the file is for")
-        if path.parent.name in MAPS:
-            door = path.parent / MAPS[path.parent.name]
-            listed = re.findall(r"^ \*   (hd_\w+)  ", door.read_text(encoding="utf-8").split("*/")[0], re.M)
+        if not has_purpose_comment(path.read_text(encoding="utf-8")):
+            found.append(f"csrc/{name}: the first line is not a comment that says what the file is for")
+        if path.parent.name in LISTING_HEADERS:
+            header = path.parent / LISTING_HEADERS[path.parent.name]
+            listed = re.findall(r"^ \*   (hd_\w+)  ", header.read_text(encoding="utf-8").split("*/")[0], re.M)
             if path.stem not in listed:
-                found.append(f"csrc/{name} is missing in the list at the top of {door.name}")
+                found.append(f"csrc/{name} is missing in the list at the top of {header.name}")
     return found
 
 
 if __name__ == "__main__":
-    lines = faults(includes_of(CSRC)) + silent_files(CSRC)
+    lines = faults(includes_of(CSRC)) + unexplained_files(CSRC)
     print("\n".join(lines), file=sys.stderr, end="\n" if lines else "")
     sys.exit(1 if lines else 0)

@@ -1,4 +1,4 @@
-"""The checks of the core's files find what they are for, and the core as it is passes them."""
+"""The checks of the core's files find faults, and the core passes them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.project.check_includes import CSRC, Includes, faults, includes_of, says_its_job, silent_files
+from tests.project.check_includes import CSRC, Includes, faults, has_purpose_comment, includes_of, unexplained_files
 
 SOUND: Includes = {
     "api/hd_core.h": ["api/hd_api.h"],
@@ -32,12 +32,12 @@ def test_a_sound_order_has_no_faults() -> None:
         (
             "scene/hd_world.c",
             "tick/hd_tick.h",
-            "csrc/scene/hd_world.c includes tick/hd_tick.h, of a room below its own",
+            "csrc/scene/hd_world.c includes tick/hd_tick.h, of a room below",
         ),
         (
             "tick/hd_waveform.c",
             "scene/hd_index.h",
-            "csrc/tick/hd_waveform.c includes scene/hd_index.h, an inner header; the door of scene/ is hd_world.h",
+            "csrc/tick/hd_waveform.c includes scene/hd_index.h, a private header; public: hd_world.h",
         ),
         (
             "tick/hd_waveform.c",
@@ -56,7 +56,7 @@ def test_each_fault_is_one_line(file: str, included: str, fault: str) -> None:
 
 
 def test_each_file_of_the_core_says_what_it_is_for() -> None:
-    assert silent_files(CSRC) == []
+    assert unexplained_files(CSRC) == []
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_each_file_of_the_core_says_what_it_is_for() -> None:
     ],
 )
 def test_a_first_line_is_a_comment_of_four_words(text: str, says: bool) -> None:
-    assert says_its_job(text) == says
+    assert has_purpose_comment(text) == says
 
 
 def test_the_list_of_a_room_is_complete(tmp_path: Path) -> None:
@@ -79,4 +79,4 @@ def test_the_list_of_a_room_is_complete(tmp_path: Path) -> None:
     room.mkdir()
     (room / "hd_tick.h").write_text("/* The files of this room:\n *\n *   hd_tick   the stages\n */\n")
     (room / "hd_tap.c").write_text("/* The tap of an onset. */\n")
-    assert silent_files(tmp_path) == ["csrc/tick/hd_tap.c is missing in the list at the top of hd_tick.h"]
+    assert unexplained_files(tmp_path) == ["csrc/tick/hd_tap.c is missing in the list at the top of hd_tick.h"]

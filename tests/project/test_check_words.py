@@ -1,4 +1,4 @@
-"""The check of words finds what the guide avoids, and nothing else."""
+"""The check of words finds the words that the guide avoids, and no others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The boundary: what Python sees of the C core is what the compiler laid out, and all of it."""
+"""The boundary of C and Python: records, enums and the type stub agree with the compiled core, completely."""
 
 import ast
 import enum
@@ -41,7 +41,7 @@ def test_a_dtype_has_the_compilers_size_and_offsets(name: str) -> None:
 
 @pytest.mark.parametrize("name", RECORDS)
 def test_every_double_that_c_writes_is_found_under_its_name(name: str) -> None:
-    """Not offsets but values: each leaf gets a number of its own through C, and numpy reads the same."""
+    """C writes a different number into each member, and numpy reads the same numbers."""
     array = core.records(RECORDS[name], 2)
     c_record = core.pointer(f"{name}[]", array)[1]
     count = 0
@@ -165,7 +165,7 @@ def test_the_type_stub_says_what_the_enums_have() -> None:
 
 
 def test_only_core_imports_the_extension() -> None:
-    """And what a process without numpy needs of it (docs/adr/0022)."""
+    """The exception is what a process without numpy needs (docs/adr/0022)."""
     importers = {
         path.name
         for path in (ROOT / "hapticd").rglob("*.py")

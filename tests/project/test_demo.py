@@ -1,6 +1,6 @@
-"""What the demo measures with, where the truth is known; and how it ends.
+"""The measurements of the demo against known values, and its exit codes.
 
-For that the daemon's own tick renders its taps and strokes without a clock, so that every run is the same.
+The daemon's tick renders taps and strokes without a clock, so that every run is the same.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from tests.support.rig import Rig
 
 Floats = npt.NDArray[np.float64]
 Kept = Callable[[str, int, npt.NDArray[np.intp]], npt.NDArray[np.bool_]]
-"""Which samples of a part are there, the first time, the second, ...: its material, which time, their numbers."""
+"""Returns which samples of a performance are kept, from its material, its repetition and the samples' numbers."""
 COMB = "comb_2400um_vibration"
 OMEGA, DECAY, RATE = 2 * np.pi * 200.0, 1 / 3e-3, 10_000.0
 
 
 def rung(time_s: Floats, onsets: Floats, amplitudes: Floats) -> Floats:
-    """The modes of all strikes together, silent from 5/B after the last one, and not heard again."""
+    """Return the sum of the modes of all strikes, which ends 5/B after the last strike."""
     since = time_s[:, None] - onsets
     each = np.where(since >= 0, np.exp(-DECAY * np.maximum(since, 0)) * np.sin(OMEGA * since), 0.0)
     group = np.cumsum(np.diff(onsets, prepend=-1.0) > 5 / DECAY)
@@ -79,7 +79,7 @@ def test_a_strike_too_many_and_one_of_another_shape_are_left_over() -> None:
     assert strikes_of(telemetry(time_s, vibration), 0, onsets).left_over > 0
 
 
-def test_a_sine_that_is_exactly_zero_on_a_sample_goes_on() -> None:
+def test_a_sine_that_is_exactly_zero_at_a_sample_continues() -> None:
     time_s = np.arange(400) / RATE
     vibration = rung(time_s, np.array([0.01]), np.array([8.0]))
     vibration[175] = 0.0  # one and a half periods after the strike
@@ -102,36 +102,36 @@ def test_a_strike_on_the_tick_after_the_end_of_another_is_found() -> None:
     onsets, amplitudes = np.array([0.01, 0.0251]), np.array([8.0, -5.0])
     time_s = np.arange(450) / RATE
     vibration = rung(time_s, onsets, amplitudes)
-    vibration[251] = 1e-13  # what rounding leaves of the sine at its onset
+    vibration[251] = 1e-13  # the sine at its onset, after rounding
     found = strikes_of(telemetry(time_s, vibration), 0, onsets)
     np.testing.assert_allclose(found.amplitude, amplitudes, rtol=1e-6)
     assert found.left_over == 0
 
 
 def test_a_strike_on_the_tick_after_missed_periods_is_hidden() -> None:
-    """In them the strike before it ended, so that no sample between the two is silent."""
+    """The strike before ended in the missed periods, so that no sample between the two is silent."""
     onsets, amplitudes = np.array([0.01003, 0.0261]), np.array([8.0, -5.0])
-    whole = np.arange(450) / RATE
-    vibration = rung(whole, onsets, amplitudes)
+    time_s = np.arange(450) / RATE
+    vibration = rung(time_s, onsets, amplitudes)
     vibration[261] = 1e-13
     kept = np.delete(np.arange(450), range(200, 261))
-    found = strikes_of(telemetry(whole[kept], vibration[kept]), 0, onsets)
+    found = strikes_of(telemetry(time_s[kept], vibration[kept]), 0, onsets)
     assert (found.number.tolist(), found.hidden, found.left_over) == ([0], 1, 0)
 
 
 def test_a_strike_that_missed_periods_cut_off_before_the_next_one_is_hidden() -> None:
-    """Of a mode that is not known, 20 samples are few; the next strike begins in the missed periods."""
+    """20 samples are too few for an unknown mode; the next strike begins in the missed periods."""
     for amplitude in (8.0, -3.0):
         onsets, amplitudes = np.array([0.01003, 0.015]), np.array([amplitude, 5.0])
-        whole = np.arange(600) / RATE
+        time_s = np.arange(600) / RATE
         kept = np.delete(np.arange(600), [*range(93, 98), *range(120, 180)])
-        vibration = rung(whole, onsets, amplitudes)
+        vibration = rung(time_s, onsets, amplitudes)
         vibration[101:120] += 1e-3 * amplitude * np.sin(np.arange(19))
-        found = strikes_of(telemetry(whole[kept], vibration[kept]), 0, onsets)
+        found = strikes_of(telemetry(time_s[kept], vibration[kept]), 0, onsets)
         assert (len(found.number), found.hidden, found.left_over) == (0, 2, 0)
 
 
-def test_what_rings_on_after_the_force_limit_scaled_it_is_hidden() -> None:
+def test_a_strike_that_rings_after_the_force_limit_scaled_it_is_hidden() -> None:
     onsets, amplitudes = np.array([0.01003, 0.018, 0.06]), np.array([8.0, 3.0, 5.0])
     time_s = np.arange(900) / RATE
     vibration = rung(time_s, onsets, amplitudes)
@@ -147,11 +147,11 @@ def test_what_rings_on_after_the_force_limit_scaled_it_is_hidden() -> None:
 
 def test_missed_periods_hide_the_strikes_near_to_them_and_no_others() -> None:
     onsets, amplitudes = some_strikes()
-    whole = np.arange(round(0.45 * RATE)) / RATE
-    kept = np.ones(len(whole), dtype=np.bool_)
+    time_s = np.arange(round(0.45 * RATE)) / RATE
+    kept = np.ones(len(time_s), dtype=np.bool_)
     for begin in (0.1, 0.2, 0.201, float(onsets[5]), float(onsets[9]) - 2e-4):
         kept[round(begin * RATE) : round(begin * RATE) + 7] = False
-    found = strikes_of(telemetry(whole[kept], rung(whole, onsets, amplitudes)[kept]), 0, onsets)
+    found = strikes_of(telemetry(time_s[kept], rung(time_s, onsets, amplitudes)[kept]), 0, onsets)
     assert 14 <= len(found.number) < 20 and found.left_over == 0
     assert not {5, 9} & set(found.number.tolist()) and found.hidden == 20 - len(found.number)
     assert found.late_s < 1e-9
@@ -165,7 +165,7 @@ def test_missed_periods_hide_the_strikes_near_to_them_and_no_others() -> None:
         ([0.5, 3.5], [1, 2, 3], [1, 1, 1]),
         ([0.9, 1.1, 0.9, 1.1], [1], [1]),  # to and fro on one groove
         ([0.9, 1.1, 1.6, 1.1, 0.9], [1, 1], [1, -1]),  # half a spacing away meanwhile
-        ([0.9, 1.0, 1.1], [1], [1]),  # on a groove is beyond it
+        ([0.9, 1.0, 1.1], [1], [1]),  # a position on a groove counts as beyond it
         ([1.1, 1.0, 0.9], [1], [-1]),
         ([0.2, 0.4], [], []),
     ],
@@ -228,7 +228,7 @@ def test_the_peak_of_two_poles_is_found() -> None:
     assert peak_of(frequency, spectrum, RATE) == pytest.approx(true_peak, rel=0.05)
 
 
-def test_marks_collect_what_was_missed_and_numbers_that_are_none() -> None:
+def test_marks_list_missed_targets_and_nan() -> None:
     marks = Marks()
     assert marks.off("near", 1.001, 1.0, 0.01) == "+0.10%"
     assert marks.missed == []
@@ -238,7 +238,7 @@ def test_marks_collect_what_was_missed_and_numbers_that_are_none() -> None:
 
 
 @cache
-def _whole(path: tuple[tuple[float, ...], ...], kind: str, material: str) -> Recorded:
+def _complete(path: tuple[tuple[float, ...], ...], kind: str, material: str) -> Recorded:
     surface = {"kind": kind, "normal": [0, 1], "material": material}
     surface |= {"point_m": [0, 0]} if kind == "wall" else {"center_m": [0, 0], "width_m": 0.02}
     run = simulate_run({"scene": {"objects": {"surface": surface}}}, path, check_stability=False)
@@ -246,10 +246,10 @@ def _whole(path: tuple[tuple[float, ...], ...], kind: str, material: str) -> Rec
 
 
 class Machine:
-    """In place of the daemon's: renders what is performed, and misses periods as it is told."""
+    """Takes the place of the daemon: renders performances, and drops the samples that `kept` excludes."""
 
     def __init__(self, kept: Kept, wood: str = "wood") -> None:
-        """`wood`: a material that is rendered in its place."""
+        """Render the material `wood` in place of wood."""
         self.kept, self.wood = kept, wood
         self.surface: Any = None
         self.performances: list[str] = []
@@ -270,10 +270,10 @@ class Machine:
 
     def perform(self, _: Any, path: Any, advance: Callable[[float], None]) -> Recorded:
         name = self.surface["material"]
-        whole = _whole(tuple(map(tuple, path)), self.surface["kind"], self.wood if name == "wood" else name)
+        complete = _complete(tuple(map(tuple, path)), self.surface["kind"], self.wood if name == "wood" else name)
         self.performances.append(name)
-        kept = self.kept(name, self.performances.count(name), np.arange(len(whole.time_s)))
-        return Recorded(whole.time_s[kept], whole.samples[kept], whole.events, whole.start_ns, RATE)
+        kept = self.kept(name, self.performances.count(name), np.arange(len(complete.time_s)))
+        return Recorded(complete.time_s[kept], complete.samples[kept], complete.events, complete.start_ns, RATE)
 
 
 RunDemo = Callable[[Machine], tuple[int, str]]
@@ -297,18 +297,18 @@ def all_kept(_: str, __: int, number: npt.NDArray[np.intp]) -> npt.NDArray[np.bo
     return number >= 0
 
 
-def none_whole(_: str, __: int, number: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    """So many are missed that no strike can be fitted, and no half second of a stroke is left."""
+def none_complete(_: str, __: int, number: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    """Keep so few samples that no strike can be fitted, and no half second of a stroke is complete."""
     return number % 160 < 8
 
 
 def few_missed(name: str, _: int, number: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    """So often that no strike can be fitted. Sandpaper's noise is a sequence of ticks: none of it is missed."""
+    """Drop samples so often that no strike can be fitted, but none of sandpaper, whose noise is a sequence of ticks."""
     return (number % 14 != 0) | (name == "sandpaper_100")
 
 
 @pytest.mark.long
-def test_the_demo_of_a_whole_recording_ends_with_0(run_demo: RunDemo) -> None:
+def test_the_demo_of_a_complete_recording_ends_with_0(run_demo: RunDemo) -> None:
     machine = Machine(all_kept)
     code, output = run_demo(machine)
     assert code == 0 and "not enough seen" not in output and "wrong" not in output
@@ -316,10 +316,10 @@ def test_the_demo_of_a_whole_recording_ends_with_0(run_demo: RunDemo) -> None:
 
 
 @pytest.mark.long
-def test_where_nothing_can_be_seen_the_demo_says_so_in_one_line_and_ends_with_0(
+def test_a_demo_without_measurements_reports_it_in_one_line_and_ends_with_0(
     run_demo: RunDemo,
 ) -> None:
-    code, output = run_demo(Machine(none_whole))
+    code, output = run_demo(Machine(none_complete))
     (line,) = [line for line in output.splitlines() if line.startswith("not enough seen")]
     assert code == 0 and "wrong" not in output
     for part in (
@@ -335,7 +335,7 @@ def test_where_nothing_can_be_seen_the_demo_says_so_in_one_line_and_ends_with_0(
 @pytest.mark.long
 def test_taps_of_several_repetitions_count_together(run_demo: RunDemo) -> None:
     def seen_by_turns(name: str, time: int, number: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-        """One half of the taps the first time, the other half the second time."""
+        """Keep one half of the taps in the first repetition, the other half in the second."""
         return np.asarray(((number < len(number) // 2) == (time == 1)) | few_missed(name, time, number))
 
     machine = Machine(seen_by_turns)
@@ -346,11 +346,11 @@ def test_taps_of_several_repetitions_count_together(run_demo: RunDemo) -> None:
 
 
 @pytest.mark.long
-def test_a_wrong_figure_ends_with_1_beside_parts_that_cannot_be_seen(
+def test_a_wrong_figure_ends_with_1_even_if_other_parts_are_not_measured(
     run_demo: RunDemo,
 ) -> None:
     def all_of_wood(name: str, time: int, number: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-        return (all_kept if name == "wood" else none_whole)(name, time, number)
+        return (all_kept if name == "wood" else none_complete)(name, time, number)
 
     code, output = run_demo(Machine(all_of_wood, wood="delrin"))
     assert code == 1 and "wrong: wood: frequency is off by +38.81 % (limit 1 %)" in output
@@ -359,7 +359,7 @@ def test_a_wrong_figure_ends_with_1_beside_parts_that_cannot_be_seen(
 
 @pytest.mark.long
 def test_too_little_without_a_missed_period_ends_with_1(run_demo: RunDemo, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(taps, "WANTED", 27)  # twice 13 are there
+    monkeypatch.setattr(taps, "WANTED", 27)  # there are twice 13 taps
     code, output = run_demo(Machine(all_kept))
     assert code == 1 and "wrong: wood: 26 of 27 taps, and no period was missed" in output
 
@@ -368,7 +368,7 @@ def test_too_little_without_a_missed_period_ends_with_1(run_demo: RunDemo, monke
 def test_a_landing_without_a_tap_is_wrong_however_many_periods_are_missed(run_demo: RunDemo) -> None:
     code, output = run_demo(Machine(few_missed))
     assert code == 0 and "not enough seen: wood: 0 of 10 taps" in output
-    code, output = run_demo(Machine(few_missed, wood="sandpaper_100"))  # it has no tap
+    code, output = run_demo(Machine(few_missed, wood="sandpaper_100"))  # this material has no tap
     assert code == 1 and "wrong: wood: the hand landed 2" in output and "times without a tap" in output
 
 

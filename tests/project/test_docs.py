@@ -51,7 +51,7 @@ Rows = list[list[str]]
 
 
 def section(text: str, heading: str) -> str:
-    """What stands below a heading, up to the next of its level or a higher one."""
+    """Return the text below a heading, up to the next heading of the same or a higher level."""
     level = len(heading) - len(heading.lstrip("#"))
     _, found, rest = text.partition(f"\n{heading}\n")
     assert found, heading
@@ -59,7 +59,7 @@ def section(text: str, heading: str) -> str:
 
 
 def tables(text: str) -> dict[str, Rows]:
-    """Every table by its first heading cell, without heading and rule; cells are stripped."""
+    """Return every table by its first heading cell, as rows of stripped cells without heading and rule."""
     found: dict[str, Rows] = {}
     for block in re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE):
         rows = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in block.splitlines()]
@@ -69,12 +69,12 @@ def tables(text: str) -> dict[str, Rows]:
 
 
 def names(cell: str) -> list[str]:
-    """What stands in backticks."""
+    """Return the texts in backticks."""
     return re.findall(r"`([^`]+)`", cell)
 
 
 def without_links(text: str) -> str:
-    """The code has none."""
+    """Return a text with its links replaced by their texts, as the code has it."""
     return re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", text)
 
 
@@ -91,7 +91,7 @@ def blocks(text: str, language: str) -> list[str]:
 
 @pytest.mark.parametrize("name", docs_tables.PAGES)
 def test_tables_are_those_of_the_code(name: str) -> None:
-    """`make docs-tables` writes them again."""
+    """If this test fails, `make docs-tables` writes the tables again."""
     page = (ROOT / "docs" / name).read_text()
     assert docs_tables.PAGES[name](page) == page
 
@@ -222,7 +222,7 @@ def test_commands() -> None:
 
 
 def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The keys, shapes and columns of the table are those of a file, and the lines that open one do."""
+    """The table has the keys, shapes and columns of a file, and the page's lines open the file."""
     described = section(PROTOCOL, "## Files")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.yaml").write_text(
@@ -263,8 +263,8 @@ def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     exec(by_hapticd, found)
     assert found["marks"] == [] and len(found["frame"]) == count
     recording = found["recording"]
-    told = {name for row in tables(described)["member"] for name in names(row[0])}
-    assert recording.texts["recording"].keys() <= told
+    members_of_table = {name for row in tables(described)["member"] for name in names(row[0])}
+    assert recording.texts["recording"].keys() <= members_of_table
     about = {name for row in tables(described)["attribute"] for name in names(row[0])}
     public = {name for name in dir(recording) if not name.startswith("_")} - {"path", "texts"}
     assert public <= {name.split("(")[0] for name in about}
@@ -298,7 +298,7 @@ def test_the_configurations_of_the_devices_page_are_valid() -> None:
     assert kinds == {"sim", "hid", "replay"}
 
 
-def test_every_quirk_is_told() -> None:
+def test_every_quirk_is_documented() -> None:
     assert set(first_names(tables(section(DEVICES, "## Quirks"))["quirk"])) == set(get_args(Quirk))
 
 
@@ -312,21 +312,21 @@ def test_the_rule_sorts_where_the_page_says() -> None:
 # ---- service.md ----------------------------------------------------------------------------------------------------
 
 
-def test_the_files_of_the_service_are_told(tmp_path: Path) -> None:
+def test_the_files_of_the_service_are_documented(tmp_path: Path) -> None:
     lines = service_files.run("system", Installation(Path("/usr/bin/hapticd"), ()), root=tmp_path)
     written = [line.split()[-1].removeprefix(str(tmp_path)) for line in lines]
     assert first_names(tables(section(SERVICE, "## Setting it up"))["file"]) == written
 
 
-def test_the_lines_of_the_doctor_are_told() -> None:
+def test_the_lines_of_the_doctor_are_documented() -> None:
     found = diagnose(Machine(limit=lambda number: (0, 0)), Needs(device=Hid()))
-    told = first_names(tables(SERVICE)["line"])
-    assert {finding.name for finding in found} <= set(told)
+    described = first_names(tables(SERVICE)["line"])
+    assert {finding.name for finding in found} <= set(described)
     sources = "".join(path.read_text() for path in (ROOT / "hapticd" / "doctor").glob("*.py"))
-    assert all(f'"{name}"' in sources for name in told)
+    assert all(f'"{name}"' in sources for name in described)
 
 
-def test_the_directives_that_the_page_names_stand_in_the_unit() -> None:
+def test_the_directives_that_the_page_names_are_in_the_unit() -> None:
     unit = (ROOT / "systemd" / "hapticd.service").read_text().splitlines()
     needs = tables(section(SERVICE, "## The sandbox"))["right"]
     for directive in (name for row in needs for name in names(row[1]) if "=" in name):
@@ -337,14 +337,14 @@ def test_the_directives_that_the_page_names_stand_in_the_unit() -> None:
         )
 
 
-# ---- What shows the promises of a page ------------------------------------------------------------------------------
+# ---- Tests of the promises of a page --------------------------------------------------------------------------------
 
 SHOWS = "## What shows it"
 PROMISING = [ROOT / "docs" / name for name in ("reliability.md", "service.md")]
 
 
 def is_there(test: str) -> bool:
-    """A function of a file below tests/, a target of make, or a module that is run."""
+    """Return whether a test exists: a function of a file below tests/, a target of make, or a module that is run."""
     if test.startswith("make "):
         return re.search(rf"^{test[5:]}:|^\.PHONY:.* {test[5:]}\b", (ROOT / "Makefile").read_text(), re.M) is not None
     if test.startswith("python -m "):
@@ -354,8 +354,8 @@ def is_there(test: str) -> bool:
     return path.is_file() and re.search(rf"^def {function}\(", path.read_text(), re.M) is not None
 
 
-def test_the_tests_that_show_what_stability_claims_are_there() -> None:
-    """Each `pytest FILE -k WORDS` and `pytest FILE::NAME` of the page selects something."""
+def test_the_tests_that_the_stability_page_names_exist() -> None:
+    """Each `pytest FILE -k WORDS` and `pytest FILE::NAME` of the page selects a test."""
     text = " ".join((ROOT / "docs" / "stability.md").read_text().split())
     shown = re.findall(r"`pytest tests/(\S+?\.py)(?:::(\w+))?(?: -k (\"[^\"]*\"|\w+))?`", text)
     assert len(shown) > 12 and len(shown) == text.count("`pytest ")
@@ -366,7 +366,7 @@ def test_the_tests_that_show_what_stability_claims_are_there() -> None:
 
 
 @pytest.mark.parametrize("page", PROMISING, ids=lambda page: page.stem)
-def test_what_shows_a_promise_is_there(page: Path) -> None:
+def test_the_tests_of_promises_exist(page: Path) -> None:
     for _, shown in tables(section(page.read_text(), SHOWS))["promise"]:
         assert names(shown) and all(map(is_there, names(shown))), shown
 

@@ -1,4 +1,4 @@
-"""A short run of each fuzzer, of other seeds than `make fuzz` begins with; and what the long ones found."""
+"""A short run of each fuzzer with other seeds than `make fuzz`, and inputs that long runs found."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def test_recordings() -> None:
     assert most < fuzz_recordings.LIMIT_BYTES
     tried = {outcome.split()[0] for outcome in outcomes}
     assert tried == set(fuzz_recordings.FORMS)
-    # What a killed recording left comes less often than whole files, and more of it can be used.
-    whole = [form for form in fuzz_recordings.FORMS if not form.startswith("left")]
-    assert all(outcomes[f"{form} refused"] > 0 for form in whole)
-    assert any(outcomes[f"{form} refused"] > 0 for form in fuzz_recordings.FORMS if form not in whole)
+    # Files of killed recordings are rarer than complete files, and more of them can be used.
+    complete = [form for form in fuzz_recordings.FORMS if not form.startswith("left")]
+    assert all(outcomes[f"{form} refused"] > 0 for form in complete)
+    assert any(outcomes[f"{form} refused"] > 0 for form in fuzz_recordings.FORMS if form not in complete)
     assert any(outcome.endswith("rendered") for outcome in outcomes)
 
 
-def test_what_they_begin_from_is_valid() -> None:
+def test_the_initial_inputs_are_valid() -> None:
     for material in fuzz_yaml.MATERIALS:
         validate_materials({"mine": material})
     for item in fuzz_yaml.OBJECTS:
@@ -72,7 +72,7 @@ def test_what_they_begin_from_is_valid() -> None:
         parse_operator(gesture)
 
 
-# ---- What our own oracles are worth ------------------------------------------------------------------------------
+# ---- The fuzzers' own checks -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def saved(value: object) -> bytes:
 
 
 def answered_late(directory: Path, stopped: threading.Event) -> None:
-    """A daemon's command socket that answers changes when nothing else comes, as it may answer long ones."""
+    """Serve a command socket that answers changes only if no other message comes, as a daemon answers long changes."""
     change = msgpack.packb({"jsonrpc": "2.0", "id": None, "result": {"revision": 7}})
     bad = msgpack.packb({"jsonrpc": "2.0", "id": None, "error": {"code": -32700, "message": "1 trailing bytes"}})
     held: list[list[bytes]] = []
@@ -141,8 +141,8 @@ def answered_late(directory: Path, stopped: threading.Event) -> None:
                 held.append([identity, *envelope, change])
 
 
-def test_answers_without_an_id_are_told_apart(tmp_path: Path) -> None:
-    """The oldest under way without an id was a change, which is answered late; the answer was another message's."""
+def test_answers_without_an_id_are_distinguished(tmp_path: Path) -> None:
+    """The oldest message without an id was a change, which is answered late; the answer was that of another message."""
     stopped = threading.Event()
     server = threading.Thread(target=answered_late, args=(tmp_path, stopped))
     server.start()
@@ -185,7 +185,7 @@ def test_answers_without_an_id_are_told_apart(tmp_path: Path) -> None:
         "empty",
     ),
 )
-def test_samples_that_are_none(tmp_path: Path, member: bytes) -> None:
+def test_invalid_samples_are_refused(tmp_path: Path, member: bytes) -> None:
     path = archive(tmp_path / "a.npz", samples=member)
     with fuzz_recordings.bounded_memory(), pytest.raises(HapticdError) as caught:
         load(path)
@@ -193,7 +193,7 @@ def test_samples_that_are_none(tmp_path: Path, member: bytes) -> None:
 
 
 def changed_npz(path: Path, at: int, value: bytes) -> Path:
-    """A recording whose directory says something else of its first member."""
+    """Write a recording whose zip directory has another value for its first member."""
     content = bytearray(fuzz_recordings.whole(".npz")[".npz"])
     place = content.find(b"PK\x01\x02") + at
     content[place : place + len(value)] = value
@@ -209,7 +209,7 @@ def test_archives_that_cannot_be_read(tmp_path: Path, at: int, value: bytes) -> 
     fuzz_recordings.check_refusal(caught.value, path)
 
 
-def test_texts_without_end(tmp_path: Path) -> None:
+def test_too_long_texts_are_refused(tmp_path: Path) -> None:
     with np.load(io.BytesIO(fuzz_recordings.whole(".npz")[".npz"])) as file:
         samples = saved(file["samples"])
     path = archive(tmp_path / "a.npz", samples=samples, scene=saved("[" * 200_000))
@@ -218,7 +218,7 @@ def test_texts_without_end(tmp_path: Path) -> None:
     fuzz_recordings.check_refusal(caught.value, path)
 
 
-def test_texts_that_are_no_unicode(tmp_path: Path) -> None:
+def test_texts_that_are_not_unicode_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     with zipfile.ZipFile(io.BytesIO(fuzz_recordings.whole(".npz")[".npz"])) as old:
         members = {name.removesuffix(".npy"): old.read(name) for name in old.namelist()}
@@ -232,9 +232,9 @@ def test_texts_that_are_no_unicode(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("direction", [[0.0, 0.0], [1.0], [], "up"])
-def test_what_was_played_nowhere(tmp_path: Path, direction: object) -> None:
-    with zipfile.ZipFile(io.BytesIO(fuzz_recordings.whole(".npz")[".npz"])) as whole:
-        members = {name.removesuffix(".npy"): whole.read(name) for name in whole.namelist()}
+def test_invalid_directions_of_played_modes_are_refused(tmp_path: Path, direction: object) -> None:
+    with zipfile.ZipFile(io.BytesIO(fuzz_recordings.whole(".npz")[".npz"])) as file:
+        members = {name.removesuffix(".npy"): file.read(name) for name in file.namelist()}
     changes = json.loads(str(np.load(io.BytesIO(members["changes"]))))
     (played,) = [change["play"] for change in changes if "play" in change]
     played["direction"] = direction

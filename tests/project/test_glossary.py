@@ -20,11 +20,11 @@ def test_each_term_is_linked_from_a_page_that_uses_it() -> None:
     assert linked == set(anchors())
 
 
-def test_no_term_stands_twice() -> None:
+def test_terms_are_unique() -> None:
     assert len(anchors()) == len(set(anchors())) > 50
 
 
-def test_each_term_says_what_it_is() -> None:
+def test_each_term_has_a_definition() -> None:
     for part in GLOSSARY.read_text().split("\n### ")[1:]:
         term, _, meaning = part.partition("\n")
         assert len(meaning.split("\n## ")[0].split()) >= 6, term

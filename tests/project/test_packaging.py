@@ -1,4 +1,4 @@
-"""What a wheel is made of: its extras, as messages and pages name them, and its man pages."""
+"""The content of a wheel: its extras, as messages and pages name them, and its man pages."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ EXTRAS = PYPROJECT["project"]["optional-dependencies"]
 
 
 def test_messages_and_pages_name_extras_that_exist() -> None:
-    told = {
+    extras = {
         (extra, path.name)
         for folder, pattern in (("hapticd", "*.py"), ("docs", "*.md"))
         for path in (ROOT / folder).rglob(pattern)
         for names in re.findall(r"hapticd\[([a-z,]+)\]", path.read_text())
         for extra in names.split(",")
     }
-    assert {extra for extra, _ in told} == {"cluster", "experiment", "fit", "lsl", "mcap", "pandas", "web"}
+    assert {extra for extra, _ in extras} == {"cluster", "experiment", "fit", "lsl", "mcap", "pandas", "web"}
     assert {"experiment", "fit", "lsl", "mcap", "web"} < EXTRAS.keys()
 
 
@@ -47,7 +47,7 @@ def test_the_extra_for_fits_keeps_its_first_name() -> None:
 
 @pytest.fixture(scope="module")
 def share(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of what is made."""
+    """Return the folder of the man pages and completion scripts."""
     folder = tmp_path_factory.mktemp("made")
     names = write(folder)
     assert {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} == set(names)
@@ -68,7 +68,7 @@ def test_every_command_has_a_page_with_its_help(share: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="no groff is installed")
-def test_roff_has_nothing_to_say_about_the_pages(share: Path) -> None:
+def test_roff_accepts_the_pages_without_warnings(share: Path) -> None:
     files = sorted((share / "man" / "man1").iterdir())
     done = subprocess.run(["groff", "-man", "-ww", "-Kutf8", "-Tutf8", *files], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
@@ -76,9 +76,8 @@ def test_roff_has_nothing_to_say_about_the_pages(share: Path) -> None:
     assert re.search(r"\n +hapticd play --mode frequency_hz=200,decay_time_s=0.01 --amplitude 20\n", text)
 
 
-def test_what_is_made_for_share_depends_on_the_commands_alone(share: Path, tmp_path: Path) -> None:
-    """Neither on where and when it is made, nor on what is set there, nor on anything of hapticd's but click: whoever
-    builds a wheel has nothing else."""
+def test_files_for_share_depend_only_on_the_commands(share: Path, tmp_path: Path) -> None:
+    """They depend neither on place, time or environment, nor on packages other than click, which a build may lack."""
     program = """if True:
         import sys
         from pathlib import Path
@@ -118,10 +117,10 @@ def test_the_day_of_a_page_is_that_of_the_sources(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_made_for_share_is_written_to_files_alone(kind: str, tmp_path: Path) -> None:
+def test_files_for_share_replace_only_regular_files(kind: str, tmp_path: Path) -> None:
     place = tmp_path / "share" / "man" / "man1" / "hapticd.1"
     place.parent.mkdir(parents=True)
-    told = special(place, kind)
+    problem = special(place, kind)
     with untouched(tmp_path), pytest.raises(HapticdError) as caught:
         write(tmp_path)
-    assert str(caught.value) == told
+    assert str(caught.value) == problem

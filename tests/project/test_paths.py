@@ -1,4 +1,4 @@
-"""No page, target or script names a file, a module or a target that is not there."""
+"""Every file, module and target that a page, target or script names exists."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 TEXTS = [
     *(ROOT / name for name in ("README.md", "CHANGELOG.md", "Makefile")),
     *(ROOT / ".ci").glob("*"),  # not in a source distribution
-    # A record that was superseded may name what is gone.
+    # A superseded record may name removed files.
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if "\nStatus: superseded" not in page.read_text()),
 ]
 SOURCES = [path for room in ("csrc", "hapticd", "tests", "bench") for path in sorted((ROOT / room).rglob("*.[chp]*"))]
@@ -31,7 +31,7 @@ def test_every_path_leads_to_a_file(text: Path) -> None:
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=lambda path: str(path.relative_to(ROOT)))
-def test_every_module_that_is_run_and_every_target_is_there(text: Path) -> None:
+def test_every_module_that_is_run_and_every_target_exists(text: Path) -> None:
     for module in re.findall(r"-m ((?:bench|docs|examples|hapticd|tests)(?:\.\w+)*)\b", text.read_text()):
         path = ROOT / module.replace(".", "/")
         assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), module
@@ -42,7 +42,7 @@ def test_every_module_that_is_run_and_every_target_is_there(text: Path) -> None:
 
 
 @pytest.mark.long
-def test_every_file_of_the_core_that_is_named_is_there() -> None:
+def test_every_file_of_the_core_that_is_named_exists() -> None:
     there = {path.name for path in SOURCES}
     named = {
         name: path

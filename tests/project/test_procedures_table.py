@@ -1,4 +1,4 @@
-"""The keys of procedures that experiments.md lists are those that a study takes."""
+"""The keys of procedures that experiments.md lists are those of a study."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The example that shows pictures at a session's event codes, with a window that notes what it showed."""
+"""The example that shows pictures at a session's event codes, with a window that stores what it showed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_da
 
 ROOT = Path(__file__).parents[2]
 TRIAL = ["cross", "disc", "", "disc", ""]
-"""Of two intervals: armed, forces on, off, on, off."""
+"""Pictures of a trial with two intervals: armed, forces on, off, on, off."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 
 
 class Screen:
-    """A window: what each of its frames showed."""
+    """A window that stores what each of its frames showed."""
 
     def __init__(self) -> None:
         self.drawn = ""
@@ -45,12 +45,12 @@ class Screen:
 
     @property
     def changes(self) -> list[str]:
-        """What was shown, each time that it became something else."""
+        """Return the shown pictures, without repetitions."""
         return [now for before, now in zip(["", *self.frames], self.frames, strict=False) if now != before]
 
 
 class Stimuli:
-    """In the place of psychopy.visual: stimuli with the arguments that the example gives."""
+    """Takes the place of psychopy.visual: stimuli with the arguments that the example gives."""
 
     class _Stimulus:
         def __init__(self, window: Screen, name: str) -> None:
@@ -67,7 +67,7 @@ class Stimuli:
 
 
 def watched(daemon: Daemon, folder: Path, front: ScriptedFront) -> tuple[str, Screen]:
-    """How a session ended, and what the screen showed meanwhile."""
+    """Run a session; return its end and the screen, which has the shown pictures."""
     screen, endings = Screen(), []
 
     def run() -> None:
@@ -90,7 +90,7 @@ def test_the_screen_follows_a_session(daemon: Daemon, tmp_path: Path) -> None:
     answered = len(front.shown)
     assert ending == "ended"
     assert answered > 1
-    # A pause before the first trial's forces came on, then every trial whole.
+    # A pause before the forces of the first trial, then every trial completely.
     assert screen.changes == ["cross", "", "A break. Rest your hand.", "", *(TRIAL * answered)]
 
 
@@ -113,7 +113,7 @@ def test_it_ends_when_the_window_is_closed(daemon: Daemon) -> None:
 
 @pytest.mark.long
 def test_without_psychopy_it_says_so_in_one_line(daemon: Daemon, tmp_path: Path) -> None:
-    """A module that fails as Python does where there is none."""
+    """A module that fails to import takes the place of psychopy."""
     (tmp_path / "psychopy.py").write_text("raise ImportError\n")
     run = subprocess.run(
         [sys.executable, str(ROOT / "examples" / "psychopy_stimuli.py"), "--runtime-dir", str(daemon.directory)],

@@ -1,4 +1,4 @@
-"""What is released: the workflow that makes wheels, its tag, the container, and README's three ways to install."""
+"""The release: the workflow that builds wheels, its tag, the container, and README's three installations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TRY_WHEEL = ROOT / "packaging" / "try_wheel.py"
 
 
 def steps() -> list[str]:
-    """What the steps of the workflow run."""
+    """Return the commands of the workflow's steps."""
     jobs = yaml.safe_load(WORKFLOW.read_text())["jobs"].values()
     return [step["run"] for job in jobs for step in job["steps"] if "run" in step]
 
@@ -56,9 +56,9 @@ def test_cibuildwheel_would_build_one_wheel_for_each_architecture() -> None:
     assert f'"py_limited_api": "cp{oldest}"' in (ROOT / "setup.py").read_text()
 
 
-def test_files_that_the_workflow_names_are_there() -> None:
-    told = "\n".join([*steps(), PYPROJECT["tool"]["cibuildwheel"]["test-command"]])
-    named = set(re.findall(r"\bpackaging/\w+\.py", told))
+def test_files_that_the_workflow_names_exist() -> None:
+    commands = "\n".join([*steps(), PYPROJECT["tool"]["cibuildwheel"]["test-command"]])
+    named = set(re.findall(r"\bpackaging/\w+\.py", commands))
     assert named == {"packaging/version_tag.py", "packaging/first_tap.py"}
     assert all((ROOT / name).is_file() for name in named)
 
@@ -71,9 +71,9 @@ def test_a_version_tag_is_that_of_the_package() -> None:
         return done.returncode, done.stderr
 
     assert check(f"v{__version__}") == (0, "")
-    told = f"hapticd/_version.py says {__version__}, whose tag is v{__version__}\n"
+    expected = f"hapticd/_version.py says {__version__}, whose tag is v{__version__}\n"
     for wrong in (__version__, f"v{__version__}.1", f"v{__version__}rc1", "v", ""):
-        assert check(wrong) == (1, f"tag {wrong}: {told}")
+        assert check(wrong) == (1, f"tag {wrong}: {expected}")
     assert check() == (1, "usage: version_tag.py TAG\n")
     assert [step for step in steps() if "version_tag.py" in step] == [
         'python3 packaging/version_tag.py "$GITHUB_REF_NAME"'
@@ -84,13 +84,13 @@ def test_a_version_tag_is_that_of_the_package() -> None:
 
 
 def instructions() -> list[tuple[str, str]]:
-    """Each instruction of the Containerfile with what follows it."""
+    """Return each instruction of the Containerfile with its arguments."""
     with CONTAINERFILE.open("rb") as file:
         structure = DockerfileParser(fileobj=file).structure
     return [(each["instruction"], each["value"]) for each in structure if each["instruction"] != "COMMENT"]
 
 
-def test_the_container_is_made_in_two_stages_and_runs_as_nobody_special() -> None:
+def test_the_container_is_built_in_two_stages_and_runs_as_an_ordinary_user() -> None:
     found = instructions()
     assert [value for name, value in found if name == "FROM"] == ["${BASE} AS build", "${BASE}"]
     last = found[max(at for at, (name, _) in enumerate(found) if name == "FROM") :]
@@ -98,13 +98,13 @@ def test_the_container_is_made_in_two_stages_and_runs_as_nobody_special() -> Non
     assert values["USER"] == "hapticd" and "useradd --system" in values["RUN"]
     assert values["VOLUME"] == "/run/hapticd" and "HAPTICD_RUNTIME_DIR=/run/hapticd" in values["ENV"]
     assert (values["ENTRYPOINT"], values["CMD"]) == ('["hapticd"]', '["run"]')
-    # No compiler, no source: what the first stage installed alone.
+    # The second stage has neither compiler nor source, only the installation of the first stage.
     assert [value for name, value in last if name in ("COPY", "ADD")] == ["--from=build /opt/hapticd /opt/hapticd"]
     assert "apt-get" not in values["RUN"]
 
 
 def test_the_context_of_the_container_has_what_a_build_reads() -> None:
-    """And the packages' links into the tree have their targets there."""
+    """The targets of the packages' links into the tree are included."""
     ignored = (ROOT / ".containerignore").read_text().splitlines()
     assert "*" in ignored
     taken = {line.removeprefix("!") for line in ignored if line.startswith("!")}
@@ -115,7 +115,7 @@ def test_the_context_of_the_container_has_what_a_build_reads() -> None:
     assert "CHANGELOG.md" in taken  # the date of the man pages
 
 
-def test_the_page_tells_the_options_that_the_container_needs() -> None:
+def test_the_page_names_the_options_that_the_container_needs() -> None:
     page = (ROOT / "docs" / "install.md").read_text()
     for option in (
         "--device /dev/hidraw",
@@ -132,19 +132,19 @@ def test_the_page_tells_the_options_that_the_container_needs() -> None:
 
 @pytest.fixture(scope="module")
 def ways() -> list[list[str]]:
-    """The commands of each block of README's Install."""
+    """Return the commands of each block of README's section Install."""
     text = README.partition("\n## Install\n")[2].partition("\n## ")[0]
     return [block.split("\n    ") for block in re.findall(r"(?:^|\n)\n    ((?:.+\n    )*.+)\n", text)]
 
 
-def test_every_way_takes_three_commands_to_the_first_tap(ways: list[list[str]]) -> None:
+def test_every_installation_takes_three_commands_to_the_first_tap(ways: list[list[str]]) -> None:
     assert len(ways) == 3
     for commands in ways:
         assert len(commands) == 3 and commands[-1].endswith("hapticd simulate materials"), commands
 
 
-def test_what_tries_a_way_runs_what_the_page_says(ways: list[list[str]]) -> None:
-    """The wheel's in every Python (make wheel-test), the clone's as a fresh user (.ci/run)."""
+def test_the_tests_of_installations_run_the_commands_of_the_page(ways: list[list[str]]) -> None:
+    """The wheel is installed in every Python (make wheel-test), the clone by a fresh user (.ci/run)."""
     wheel, _, clone = ways
     program = f"import runpy; print(runpy.run_path({str(TRY_WHEEL)!r}, run_name='tried')['block'](), end='')"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""Each room of the package says in its docstring what every file of it is for, and names no file that is not there."""
+"""The docstring of each room of the package explains each of its files, and names only existing files."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ PACKAGE = Path(__file__).parents[2] / "hapticd"
 ROOMS = sorted(path for path in PACKAGE.iterdir() if (path / "__init__.py").is_file())
 FOLDERS = sorted(path.parent for room in ROOMS for path in room.glob("*/**/__init__.py"))
 ENTRY = re.compile(r"( *)(\w+(?:, \w+)*|\w+/) {2,}\S")
-"""A line of a map: one name or several, two spaces or more, and what it is."""
+"""A line of a map: one or several names, at least two spaces, and an explanation."""
 FILE = re.compile(r"(?<![\w./-])(?:[a-z_]+/)*[a-z_]\w*\.py\b")
 
 
 def names_of(folder: Path) -> list[str]:
-    """The entries of the map in the docstring of a folder, those within a folder of its own with that before them."""
+    """Return the entries of the map in a folder's docstring; entries in a subfolder have its name as prefix."""
     docstring = ast.get_docstring(ast.parse((folder / "__init__.py").read_text()))
     assert docstring is not None, folder
     found: list[str] = []
@@ -51,13 +51,13 @@ def test_the_map_of_a_room_names_its_files(room: Path) -> None:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_the_map_of_a_folder_names_its_files(folder: Path) -> None:
-    """In its own docstring, or in that of its room."""
+    """The map is in the docstring of the folder or of its room."""
     of_room = [name.partition("/")[2] for name in names_of(folder.parent) if name.startswith(f"{folder.name}/")]
     assert sorted([*names_of(folder), *filter(None, of_room)]) == sorted(files_of(folder))
 
 
 def test_only_two_rooms_load_anything() -> None:
-    """A map costs nothing to whoever imports a file of the room."""
+    """The import of a file of a room must not load other files."""
     loading = {
         str(folder.relative_to(PACKAGE))
         for folder in (*ROOMS, *FOLDERS)
@@ -66,7 +66,7 @@ def test_only_two_rooms_load_anything() -> None:
     assert loading == {"cli", "doctor"}
 
 
-def test_every_file_of_python_that_is_named_is_there() -> None:
+def test_every_file_of_python_that_is_named_exists() -> None:
     sources = sorted(PACKAGE.rglob("*.py"))
     names = {path.name for path in sources}
     named = {

@@ -1,4 +1,4 @@
-"""tests/second_run.py: what fails twice fails the run; what passes the second time is named."""
+"""tests/second_run.py: a test that fails twice fails the run; one that passes the second time is named."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ FAILS = "def test_fails():\n    assert False\n"
 
 
 def second_run(folder: Path, *arguments: str) -> tuple[int, list[str]]:
-    """Its exit code and the lines that it prints."""
+    """Return the exit code of tests/second_run.py and the lines that it prints."""
     done = subprocess.run([sys.executable, SCRIPT, *arguments], cwd=folder, capture_output=True, text=True)
     return done.returncode, done.stdout.splitlines()
 
 
 def binary(folder: Path, name: str, script: str) -> str:
-    """A program in the place of a C test."""
+    """Write a program that takes the place of a C test."""
     path = folder / name
     path.write_text(f"#!/bin/sh\n{script}\n")
     path.chmod(0o755)

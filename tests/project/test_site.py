@@ -1,4 +1,4 @@
-"""The documentation as a site, built strictly: complete, without dead ends, and without a request to anywhere."""
+"""The documentation as a site: built strictly, complete, with every page linked, and without network requests."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from tests.web.browser import running_browser
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 MADE = ("reference/commands.md", "reference/python.md")
-"""Pages that the code fills."""
+"""Pages that are generated from the code."""
 
 
 class Page(HTMLParser):
-    """What a page leads to, what a browser fetches for it, and what its article has."""
+    """The links of a page, the files that a browser fetches for it, and the elements of its article."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -52,7 +52,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built in a clean folder: a dead link, a page outside the navigation or a warning fails."""
+    """Build the site in a clean folder; a dead link, a page outside the navigation or a warning fails."""
     folder = tmp_path_factory.mktemp("site")
     done = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder],
@@ -71,8 +71,8 @@ def pages(site: Path) -> dict[Path, Page]:
 
 
 @pytest.mark.slow
-def test_every_page_is_led_to(site: Path, pages: dict[Path, Page]) -> None:
-    """By the texts of pages, beginning with the front page; the navigation does not count."""
+def test_every_page_is_linked(site: Path, pages: dict[Path, Page]) -> None:
+    """The texts of pages, from the front page on, link every page; the navigation does not count."""
     found, ahead = set(), [site / "index.html"]
     while ahead:
         path = ahead.pop()
@@ -99,8 +99,8 @@ def test_nothing_is_fetched_from_elsewhere(site: Path, pages: dict[Path, Page]) 
 
 
 @pytest.mark.slow
-def test_lists_blocks_and_tables_are_whole(site: Path, pages: dict[Path, Page]) -> None:
-    """As CommonMark has them, by which the pages are written."""
+def test_lists_blocks_and_tables_are_complete(site: Path, pages: dict[Path, Page]) -> None:
+    """They are as CommonMark renders them, for which the pages are written."""
     reference = MarkdownIt("commonmark").enable("table")
     for source in sorted(DOCS.rglob("*.md")):
         name = source.relative_to(DOCS)
@@ -119,7 +119,7 @@ def test_lists_blocks_and_tables_are_whole(site: Path, pages: dict[Path, Page]) 
 
 
 @pytest.mark.slow
-def test_commands_and_methods_are_there(site: Path) -> None:
+def test_the_site_has_all_commands_and_methods(site: Path) -> None:
     commands = (site / "reference" / "commands.html").read_text()
     assert all(f'id="{name}"' in commands for name in page_names())
     assert "Sentinel" not in commands
@@ -129,7 +129,7 @@ def test_commands_and_methods_are_there(site: Path) -> None:
 
 @pytest.mark.slow
 def test_it_opens_and_searches_without_a_network(site: Path) -> None:
-    """From files, in a browser that is offline."""
+    """The site is opened from files, in a browser that is offline."""
     with running_browser() as browser:
         page = browser.new_context(offline=True).new_page()
         asked: list[str] = []
@@ -156,7 +156,7 @@ def test_lists_become_those_of_python_markdown() -> None:
 
 
 def test_the_messages_of_troubleshooting_are_those_of_the_code() -> None:
-    """Up to what differs, in capitals."""
+    """The messages agree except for placeholders in capitals."""
     code = " ".join(path.read_text() for path in sorted((ROOT / "hapticd").rglob("*.py")))
     page = (DOCS / "howto" / "troubleshooting.md").read_text()
     messages = re.findall(r"^\| `([^`]+)`", page, flags=re.MULTILINE)

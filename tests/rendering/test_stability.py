@@ -163,8 +163,8 @@ def test_what_an_actuators_lag_adds(damping_ratio: float) -> None:
     t, h = signal.impulse(([a * a], [1, 2 * damping_ratio * a, a * a]), T=np.linspace(0, 150 / a, 60_001))
     step = t[1] - t[0]
     expected = [step * np.abs(h).sum(), step * (t * np.abs(h)).sum(), step * (t * h).sum()]
-    np.testing.assert_allclose(actuator.shares(), expected, rtol=2e-3)
-    assert Actuator(bandwidth_hz=300).shares() == pytest.approx((1, 1 / (600 * math.pi), 1 / (600 * math.pi)))
+    np.testing.assert_allclose(actuator.moments(), expected, rtol=2e-3)
+    assert Actuator(bandwidth_hz=300).moments() == pytest.approx((1, 1 / (600 * math.pi), 1 / (600 * math.pi)))
 
 
 @pytest.mark.long

@@ -1,7 +1,7 @@
-"""The page in a real browser: Chromium as the system has it, driven by playwright, and `hapticd web --demo` for it.
+"""The page in a real browser: the system's Chromium, controlled by playwright, and a `hapticd web --demo` for it.
 
 A test takes the fixture `page` (conftest.py): the page of a demo of this test file, open and ready. An error on its
-console and an exception that nobody caught fail the test.
+console and an uncaught exception fail the test.
 
 The page's Content-Security-Policy forbids eval: give `wait_for_function` a function, as the string "() => ...".
 """
@@ -39,7 +39,7 @@ NARROW = {"width": 390, "height": 844}
 
 
 def executable() -> str:
-    """The browser; without one the test is skipped, or fails where HAPTICD_BROWSER=required or CI is set."""
+    """Return the browser's path. Without a browser skip the test, or fail if HAPTICD_BROWSER=required or CI is set."""
     found = next(filter(None, map(shutil.which, NAMES)), None)
     if found is None:
         missing = f"no browser: none of {', '.join(NAMES)} is on PATH (Debian: apt install chromium)"
@@ -50,13 +50,13 @@ def executable() -> str:
 
 
 def flags() -> list[str]:
-    """What Chromium is started with."""
+    """Return the command-line flags of Chromium."""
     return [*FLAGS, *(("--no-sandbox",) if os.geteuid() == 0 else ())]
 
 
 @contextmanager
 def running_browser(*more: str) -> Iterator[Browser]:
-    """Chromium, as long as the context lasts."""
+    """Run Chromium while the context lasts."""
     path = executable()
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=[*flags(), *more])
@@ -67,10 +67,10 @@ def running_browser(*more: str) -> Iterator[Browser]:
 
 
 class Demo:
-    """`hapticd web --demo` in a process of its own, and the pages that are open of it."""
+    """`hapticd web --demo` in a separate process, and its open pages."""
 
     def __init__(self, folder: Path, *options: str, servo: Mapping[str, object] | None = None) -> None:
-        """`servo`: keys of the configuration's servo that differ from the shipped scene's."""
+        """Start the process. `servo`: keys of the section `servo` that differ from the shipped configuration."""
         self._log = folder / "web.log"
         if servo is not None:
             changed = folder / "servo.yaml"
@@ -107,7 +107,7 @@ class Demo:
 
 @contextmanager
 def running_demo(folder: Path, *options: str, servo: Mapping[str, object] | None = None) -> Iterator[Demo]:
-    """A Demo that must end well."""
+    """Run a Demo while the context lasts; it must end with exit code 0."""
     running = Demo(folder, *options, servo=servo)
     try:
         yield running
@@ -116,7 +116,7 @@ def running_demo(folder: Path, *options: str, servo: Mapping[str, object] | None
 
 
 class Pages:
-    """Opens pages of a demo, and keeps what went wrong in them."""
+    """Opens pages of a demo, and stores their errors."""
 
     def __init__(self, context: BrowserContext, demo: Demo) -> None:
         self.demo = demo
@@ -127,7 +127,7 @@ class Pages:
         assert context.request.get(demo.link).status == 200
 
     def open(self) -> Page:
-        """A page that is ready: connected, every module in its place."""
+        """Open a page, and return it once it is connected and all modules are mounted."""
         page = self.context.new_page()
         self.watch(page)
         page.goto(self.demo.address)
@@ -147,7 +147,7 @@ class Pages:
             page.close()
 
     def take_errors(self) -> list[str]:
-        """What went wrong since the last call."""
+        """Return the errors since the last call, and clear them."""
         errors, self.errors[:] = list(self.errors), []
         return errors
 

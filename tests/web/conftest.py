@@ -1,4 +1,4 @@
-"""Fixtures of what runs in a browser. See browser.py."""
+"""Fixtures of tests that run in a browser (browser.py)."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from tests.web.browser import WIDE, Demo, Pages, executable, running_browser, ru
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Before the fixtures, so that all tests that are skipped for want of a browser make one line."""
+    """Skip tests without a browser before their fixtures run, so that they are reported in one line."""
     if "browser" in getattr(item, "fixturenames", ()):
         executable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """One browser at a time, and nothing beside it: a page draws 60 times a second."""
+    """Run browser tests one at a time and without other tests, because a page draws 60 times a second."""
     for item in items:
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.alone)
@@ -25,14 +25,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """One a file, not one a session: while playwright runs, no other test can start an event loop of its own."""
+    """Start one browser per test file: while playwright runs, no other test can start an event loop."""
     with running_browser() as running:
         yield running
 
 
 @pytest.fixture(scope="module")
 def demo(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
-    """`hapticd web --demo`, one a file. It comes after the browser, so that nothing is started where there is none."""
+    """Run one `hapticd web --demo` per test file, after the browser, so that it does not start without a browser."""
     with running_demo(tmp_path_factory.mktemp("web")) as running:
         yield running
 
@@ -46,7 +46,7 @@ def _context(browser: Browser, demo: Demo) -> Iterator[Pages]:
 
 @pytest.fixture
 def pages(_context: Pages) -> Iterator[Pages]:
-    """Opens pages; those that are open are closed after the test, which fails on what went wrong in them."""
+    """Yield an opener of pages; after the test, close its pages and fail on their errors."""
     yield _context
     _context.close_all()
     assert _context.take_errors() == []
@@ -54,5 +54,5 @@ def pages(_context: Pages) -> Iterator[Pages]:
 
 @pytest.fixture
 def page(pages: Pages) -> Page:
-    """A page, 1280 wide, that is ready."""
+    """Return an open page, 1280 pixels wide."""
     return pages.open()

@@ -1,4 +1,4 @@
-"""What is on the scene's canvas: where a colour is, in CSS pixels, and which words are written."""
+"""The content of the scene's canvas: pixels of a colour, in CSS pixels, and written texts."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from playwright.sync_api import Page
 
 from tests.web.browser import Pages
 
-# Draws, then finds the pixels of a colour of style.css within [left, top, right, bottom] of the canvas. Where shapes of
-# two colours are blended at their rims the pixels belong to neither.
+# Draws, then finds the pixels of a colour of style.css within [left, top, right, bottom] of the canvas. Blended pixels
+# at the edges of shapes do not count.
 _FOUND = """([name, rect, within]) => {
   const { canvas, picture } = hapticd.scene;
   const ink = document.createElement("canvas").getContext("2d");
@@ -56,7 +56,7 @@ _TEXTS = """() => {
 
 @contextmanager
 def scene_page(pages: Pages, *parts: str) -> Iterator[Page]:
-    """A page with the scene and these other parts seen; those that are not seen draw nothing and cost no time."""
+    """Open a page that shows only the scene and these parts; hidden parts draw nothing and cost no time."""
     page = pages.open()
     hidden = [part for part in ("scope",) if part not in parts]
     page.evaluate("(hidden) => hidden.forEach((id) => (document.getElementById(id).hidden = true))", hidden)
@@ -70,27 +70,27 @@ def scene_page(pages: Pages, *parts: str) -> Iterator[Page]:
 
 
 def pixels(page: Page, colour: str, rect: list[float] | None = None, within: int = 24) -> dict[str, float]:
-    """How many pixels of a colour of style.css there are, `count`, within `left`, `right`, `top` and `bottom`.
+    """Return `count`, the number of pixels of a colour of style.css, and their bounds `left`, `right`, `top`, `bottom`.
 
-    A pixel counts where no component, of 255, is further off than `within`: more for lines thinner than two pixels.
+    A pixel counts if each component, 0 to 255, differs by at most `within`; lines thinner than two pixels need more.
     """
     found: dict[str, float] = page.evaluate(_FOUND, [colour, rect, within])
     return found
 
 
 def texts(page: Page) -> list[tuple[str, float, float]]:
-    """What is written in the picture, and where: text, x, y."""
+    """Return the texts of the picture with their positions: text, x, y."""
     return [(text, x, y) for text, x, y in page.evaluate(_TEXTS)]
 
 
 def to_px(page: Page, point: list[float]) -> tuple[float, float]:
-    """Where a point of the plane, in m, is on the canvas."""
+    """Convert a point of the plane, in m, to pixels of the canvas."""
     x, y = page.evaluate("(point) => hapticd.scene.transform.toPx(point)", point)
     return x, y
 
 
 def on_page(page: Page, point: list[float]) -> tuple[float, float]:
-    """Where a point of the plane, in m, is in the window: for the mouse."""
+    """Convert a point of the plane, in m, to pixels of the window, for the mouse."""
     box = page.evaluate(
         "() => { const { left, top } = hapticd.scene.canvas.getBoundingClientRect(); return [left, top]; }"
     )
@@ -99,7 +99,7 @@ def on_page(page: Page, point: list[float]) -> tuple[float, float]:
 
 
 def show(page: Page, state: Mapping[str, Any], touching: list[str]) -> None:
-    """Has the scene show a moment, as of a recording; what is not given is zero. `live` shows the present again."""
+    """Show a moment in the scene, as of a recording; missing members are zero. `live` shows the present again."""
     names = ("position_m", "velocity_m_per_s", "contact_force_n", "vibration_force_n", "force_n")
     still = {name: [0.0, 0.0] for name in names}
     detail = {"state": {"tick": 0, "flags": 0, **still, **state}, "touching": touching}

@@ -1,4 +1,4 @@
-"""The hand of the simulated joystick, as a test of the page moves it, and what its samples say afterwards."""
+"""The hand of the simulated joystick, moved by a test of the page, and the forces in its samples."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LAST_FORCE = """() => {
 
 
 def press(page: Page) -> None:
-    """Has the hand press the floor, and waits for its force."""
+    """Press the floor with the hand, and wait for its force."""
     page.evaluate("() => hapticd.link.call('set_operator', { waypoints: [[0.1, 0.01, 0.005], [0.2, 0.01, -0.004]] })")
     page.wait_for_function(_PRESSED)
 
@@ -34,16 +34,16 @@ def wait_for_no_force(page: Page) -> None:
 
 
 def now_ms(page: Page) -> float:
-    """The page's clock (performance.now()), once it is compared with the samples'."""
+    """Return performance.now() of the page, once the page has compared its clock with that of the samples."""
     page.evaluate("() => hapticd.timing.compareClocks()")
     return float(page.evaluate("() => performance.now()"))
 
 
 def last_force_ms(page: Page) -> float:
-    """When the last force was that was not zero, on the page's clock, which was compared with the samples' before."""
+    """Return the time of the last force that was not zero, on the page's clock, in ms; call now_ms before."""
     return float(page.evaluate(_LAST_FORCE))
 
 
 def engage(page: Page) -> bool:
-    """As a press on the scene does."""
+    """Take control of the forces, as a press on the scene does."""
     return bool(page.evaluate("() => hapticd.safety.begin()"))

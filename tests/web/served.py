@@ -1,4 +1,4 @@
-"""The server of `hapticd web` in this process, in front of a daemon that a test makes up; pages without a browser."""
+"""The server of `hapticd web` in this process with a daemon made up by a test, and pages without a browser."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.support.fake_daemon import Answer, FakeDaemon, fake_daemon, result
 
 
 def echo(request: dict[str, Any]) -> list[bytes]:
-    """What a daemon answers that says what it was asked."""
+    """Answer like a daemon that returns each request."""
     if "id" not in request:
         return []
     answers: dict[str, Any] = {"lease": {"token": "t"}}
@@ -36,7 +36,7 @@ def echo(request: dict[str, Any]) -> list[bytes]:
 
 
 class WebSite:
-    """The server, and what is behind it."""
+    """The server with its pages, sessions and daemon."""
 
     def __init__(self, url: str, sessions: Sessions, pages: Pages, connections: Connections, guard: Guard) -> None:
         self.url, self.sessions, self.pages, self.connections, self.guard = url, sessions, pages, connections, guard
@@ -44,7 +44,7 @@ class WebSite:
 
     @property
     def cookie(self) -> dict[str, str]:
-        """Of a browser that was let in, as a header."""
+        """Cookie header of a browser with access."""
         return {"Cookie": f"{self.guard.cookie}={self.sessions.open()}"}
 
     @property
@@ -61,7 +61,7 @@ async def served(
     there: bool = True,
     recordings: Recordings | None = None,
 ) -> AsyncIterator[WebSite]:
-    """As `hapticd web --port 0`; `there`: wait for its daemon."""
+    """Serve like `hapticd web --port 0`; `there`: wait until its daemon is connected."""
     with tempfile.TemporaryDirectory(prefix="ht-") as folder, fake_daemon(Path(folder), answer) as daemon:
         daemon.silent.set()
         at = listen("127.0.0.1", 0, None, None, password_file)
@@ -74,7 +74,7 @@ async def served(
         try:
             async with serving(at, sessions, Site(STATIC_FOLDER / "index.html", pages.add_routes), held) as guard:
                 if there:
-                    await hub.found(PATIENCE_S)
+                    await hub.await_daemon(PATIENCE_S)
                 site = WebSite(at.url, sessions, pages, held, guard)
                 site.daemon = daemon
                 yield site
@@ -88,7 +88,7 @@ async def served(
 
 
 class Tab:
-    """A page of it: messages sent and received."""
+    """A page of the server: sends and receives messages."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self.socket = socket
@@ -105,7 +105,7 @@ class Tab:
         return msgpack.unpackb(message.data)
 
     async def answer(self, id: object) -> dict[str, Any]:
-        """The answer to a call; telemetry before it is kept."""
+        """Return the answer to a call; telemetry that comes before is kept."""
         while True:
             message = await self.receive()
             if isinstance(message, list):
@@ -122,21 +122,21 @@ class Tab:
         await self.send({"jsonrpc": "2.0", "method": method, "params": params or {}})
 
     async def telemetry(self, topic: str) -> Any:
-        """The next message of a topic, or news with that member."""
+        """Return the next message of a topic, or the next news with this member."""
         while True:
             name, body = self._telemetry.popleft() if self._telemetry else await self.receive()
             if name == topic or (name == "web" and topic in body):
                 return body
 
     async def daemon_there(self) -> None:
-        """Waits until this page is told that there is a daemon: it is opened before that on a busy machine."""
+        """Wait for the news that a daemon is connected: on a busy machine a page is opened earlier."""
         while not (await self.telemetry("daemon"))["daemon"]:
             pass
 
 
 @asynccontextmanager
 async def tab(site: WebSite) -> AsyncIterator[Tab]:
-    """A page that was let in."""
+    """Open a page with access."""
     async with (
         aiohttp.ClientSession() as session,
         session.ws_connect(f"{site.url}/socket", headers={**site.cookie, **site.origin}) as socket,
@@ -145,14 +145,14 @@ async def tab(site: WebSite) -> AsyncIterator[Tab]:
 
 
 async def until(what: Callable[[], bool]) -> None:
-    """Waits for what happens in this process and does not tell."""
+    """Wait until a condition in this process is true."""
     async with asyncio.timeout(PATIENCE_S):
         while not what():
             await asyncio.sleep(0.001)
 
 
 async def asked(address: str, method: str, params: Mapping[str, object] | None = None) -> dict[str, Any]:
-    """The answer to one call of a page at an address with a token, as `hapticd web` prints it."""
+    """Return the answer to one call of a page at an address with a token, as `hapticd web` prints it."""
     origin = address.partition("/?")[0]
     async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
         async with session.get(address) as response:

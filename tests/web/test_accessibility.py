@@ -1,5 +1,5 @@
-"""axe-core finds nothing serious in the page: every tab, light and dark, wide and narrow. Every control is reached
-by the keyboard."""
+"""axe-core finds nothing serious in any tab of the page, light and dark, wide and narrow. The keyboard reaches all
+controls."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RUN = """async () => {
     id, nodes: nodes.map((node) => `${node.target.join(" ")}: ${node.failureSummary.split("\\n")[1] ?? ""}`),
   }));
 }"""
-# What is used and seen, and yet not reached by Tab. What is one stop of several controls is left out.
+# Visible, enabled controls that Tab does not reach. Groups that are one stop of Tab are left out.
 UNREACHED = """() => [...document.querySelectorAll("button, input, select, textarea, a[href], [role=slider]")]
   .filter((each) => each.checkVisibility() && !each.disabled && each.tabIndex < 0 && each.getAttribute("role") !== "tab"
     && !each.closest("[aria-hidden=true], [inert], [role=toolbar], [role=listbox], [role=radiogroup], [role=menu]"))
@@ -50,7 +50,7 @@ def test_axe_finds_nothing_serious(page: Page, scheme: Any) -> None:
 
 
 def test_axe_would_find_something(page: Page) -> None:
-    """The test above can fail."""
+    """The test above fails if there is a serious finding."""
     page.evaluate("() => document.getElementById('files-panel').insertAdjacentHTML('beforeend', '<button></button>')")
     page.evaluate("() => hapticd.tabs.show('files-panel')")
     assert [problem["id"] for problem in serious(page)] == ["button-name"]
@@ -62,7 +62,7 @@ def test_every_control_is_reached_by_the_keyboard(page: Page) -> None:
         assert page.evaluate(UNREACHED) == []
 
 
-def test_faults_and_states_are_told_to_screen_readers(page: Page) -> None:
+def test_faults_and_states_are_announced_to_screen_readers(page: Page) -> None:
     page.evaluate("() => hapticd.safety.dispatchEvent(new Event('change'))")
     assert page.locator("#forces-state").get_attribute("role") == "status"
     assert page.locator("#notices").get_attribute("aria-live") == "polite"

@@ -1,4 +1,4 @@
-"""The colours of the page can be read: contrast as WCAG 2.2 AA wants it, light and dark."""
+"""The colours of the page are readable: contrast as WCAG 2.2 AA requires, light and dark."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def contrast(one: str, other: str) -> float:
 
 def test_contrast_is_that_of_known_pairs() -> None:
     assert contrast("#000000", "#ffffff") == pytest.approx(21.0)
-    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)  # just too little, as is well known
+    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)  # just too small
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

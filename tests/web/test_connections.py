@@ -34,14 +34,14 @@ async def connected(site: WebSite) -> tuple[asyncio.StreamReader, asyncio.Stream
 
 
 async def ended(reader: asyncio.StreamReader) -> bool:
-    """Whether the other side let go."""
+    """Return whether the server closed the connection."""
     with suppress(ConnectionError):
         return await asyncio.wait_for(reader.read(), 60) == b""
     return True
 
 
 @pytest.mark.parametrize("sent", [b"", b"G", b"GET / HTTP/1.1\r\nHost: ", b"GET / HTTP/1.1\r\nA: b\r\n"])
-def test_a_request_that_does_not_come_whole_is_let_go(sent: bytes) -> None:
+def test_an_incomplete_request_is_closed(sent: bytes) -> None:
     async def test() -> None:
         time = Time()
         async with served(connections=Connections(now=time), there=False) as site:
@@ -62,9 +62,9 @@ def test_a_request_that_does_not_come_whole_is_let_go(sent: bytes) -> None:
     asyncio.run(test())
 
 
-def test_connections_are_bounded_and_pages_stay() -> None:
+def test_connections_are_limited_and_pages_stay() -> None:
     async def test() -> None:
-        held = Connections(most=5)
+        held = Connections(limit=5)
         async with served(connections=held, there=False) as site, tab(site) as page:
             pairs = [await connected(site) for _ in range(4)]
             reader, writer = await connected(site)
@@ -80,7 +80,7 @@ def test_connections_are_bounded_and_pages_stay() -> None:
     asyncio.run(test())
 
 
-def test_a_page_is_never_let_go_for_its_age() -> None:
+def test_a_page_is_never_closed_for_its_age() -> None:
     async def test() -> None:
         time = Time()
         async with served(connections=Connections(now=time), there=False) as site, tab(site) as page:
@@ -105,7 +105,7 @@ def test_a_head_without_end_is_refused() -> None:
 
 
 async def all_of(page: Tab, topic: str, value: int) -> None:
-    """Reads until news says so."""
+    """Read news until a topic has this value."""
     while (await page.telemetry(topic))[topic] != value:
         pass
 

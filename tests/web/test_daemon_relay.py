@@ -1,4 +1,4 @@
-"""A page's own connection to the daemon, where there is none yet."""
+"""The connection of a page to the daemon, before a daemon runs."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_calls_wait_for_a_daemon_in_their_order_and_messages_of_streams_do_not()
         asyncio.run(test(folder))
 
 
-def test_calls_that_no_daemon_takes_are_answered_one_by_one(monkeypatch: Any) -> None:
+def test_calls_that_no_daemon_accepts_are_answered_one_by_one(monkeypatch: Any) -> None:
     monkeypatch.setattr(daemon_relay, "_CONNECT_TIMEOUT_S", 0.05)
 
     async def test(folder: str) -> None:

@@ -1,4 +1,4 @@
-"""Who is let in, asked over HTTP as browsers and others do."""
+"""Access to the page over HTTP, for browsers and other clients."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ async def ask(site: WebSite, path: str, method: str = "GET", **more: Any) -> Ans
 
 
 async def raw(site: WebSite, *lines: str) -> bytes:
-    """The first line of the answer to a request that no client library would send."""
+    """Return the first line of the answer to a request that no client library would send."""
     port = int(site.url.rpartition(":")[2])
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write("\r\n".join([*lines, "Connection: close", "", ""]).encode())
@@ -35,7 +35,7 @@ async def raw(site: WebSite, *lines: str) -> bytes:
     return line
 
 
-def test_the_token_of_an_address_lets_in_one_browser_once() -> None:
+def test_the_token_of_an_address_gives_one_browser_access_once() -> None:
     async def test() -> None:
         async with served() as site:
             token = site.sessions.new_token()
@@ -47,7 +47,7 @@ def test_the_token_of_an_address_lets_in_one_browser_once() -> None:
             assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and "Path=/" in cookie
             session = cookie.partition(";")[0]
             assert (await ask(site, "/", headers={"Cookie": session}))[0] == 200
-            # A second browser, and the same one that goes back to its address.
+            # A second browser, and the first one when it returns to its address.
             status, text, _ = await ask(site, f"/?token={token}")
             assert status == 403 and "was used before" in text and "kill -USR1" in text
             status, _, headers = await ask(site, f"/?token={token}", headers={"Cookie": session})
@@ -65,8 +65,8 @@ def test_a_page_makes_an_address_for_another_browser() -> None:
     asyncio.run(test())
 
 
-def test_who_was_led_here_by_another_site_goes_on_from_a_page_of_ours() -> None:
-    """Browsers send a strict cookie only to who comes from the same site."""
+def test_a_browser_from_another_site_continues_from_a_page_of_this_server() -> None:
+    """Browsers send a strict cookie only with requests from the same site."""
 
     async def test() -> None:
         async with served() as site:
@@ -79,7 +79,7 @@ def test_who_was_led_here_by_another_site_goes_on_from_a_page_of_ours() -> None:
 
 @pytest.mark.parametrize("path", ["/", "/static/main.js", "/static/style.css", "/socket", "/static/", "/nothing"])
 @pytest.mark.parametrize("cookie", [None, "", "guess", "\xe9"])
-def test_nothing_is_shown_to_who_was_not_let_in(path: str, cookie: str | None) -> None:
+def test_browsers_without_access_get_nothing(path: str, cookie: str | None) -> None:
     async def test() -> None:
         async with served(there=False) as site:
             headers = dict(site.origin)
@@ -223,7 +223,7 @@ def test_only_our_own_pages_open_a_socket(origin: str | None, status: int | None
 # ---- The password ----------------------------------------------------------------------------------------------------
 
 
-def test_a_password_opens_the_door_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_password_gives_access(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hapticd.web.passwords._SCRYPT_N", 1 << 10)
     path = str(tmp_path / "password")
     write_password(path, "rosewood comb")
@@ -247,7 +247,7 @@ def test_a_password_opens_the_door_too(tmp_path: Path, monkeypatch: pytest.Monke
     asyncio.run(test())
 
 
-def test_passwords_are_not_tried_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tries_of_passwords_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hapticd.web.passwords._SCRYPT_N", 1 << 10)
     path = str(tmp_path / "password")
     write_password(path, "rosewood comb")

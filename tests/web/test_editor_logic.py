@@ -1,4 +1,4 @@
-"""The logic of the editors, without a daemon's answer: its modules, imported in a browser."""
+"""The logic of the editors without a daemon: modules imported in a browser."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _Run = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def run(browser: Browser) -> Iterator[_Run]:
-    """Runs the body of an async function with modules of `static/` by their names, and one argument."""
+    """Yield a function that runs the body of an async function with modules of `static/`, by name, and one argument."""
 
     def answer(route: Route) -> None:
         path = route.request.url.removeprefix(f"{ADDRESS}/")
@@ -122,7 +122,7 @@ def test_numbers_are_shown_in_practical_units(run: _Run, value: float, unit: str
 
 
 @pytest.mark.parametrize("text", ["", "abc", "1,5", "0x10", "1e", "Infinity", "NaN", "--1", "1 2"])
-def test_what_is_no_number_is_not_taken_for_one(run: _Run, text: str) -> None:
+def test_other_texts_are_not_numbers(run: _Run, text: str) -> None:
     assert run(NUMBERS, "return Number.isNaN(n.parse(given, n.shownUnit('m')))", text)
 
 
@@ -161,7 +161,7 @@ def test_the_paths_of_problems_are_read(run: _Run) -> None:
     ]
 
 
-# ---- What is sent --------------------------------------------------------------------------------------------------
+# ---- Sent changes --------------------------------------------------------------------------------------------------
 
 FAKE = """
 class Link {
@@ -207,9 +207,9 @@ def test_a_refused_value_does_not_take_others_with_it(run: _Run) -> None:
         CHANGES,
         FAKE
         + """const outcome = [];
-        const told = (name) => [() => outcome.push([name, "taken"]), (e) => outcome.push([name, e.problems])];
-        changes.send("materials", { wood: { stiffness_n_per_m: -1 } }).then(...told("wood"));
-        changes.send("materials", { steel: { damping_n_s_per_m: 1 } }).then(...told("steel"));
+        const settle = (name) => [() => outcome.push([name, "taken"]), (e) => outcome.push([name, e.problems])];
+        changes.send("materials", { wood: { stiffness_n_per_m: -1 } }).then(...settle("wood"));
+        changes.send("materials", { steel: { damping_n_s_per_m: 1 } }).then(...settle("steel"));
         await turn();
         const problem = { where: "materials.wood.stiffness_n_per_m", problem: "should be greater than or equal to 0" };
         link.calls[0].reject(Object.assign(new Error("no"), { code: -32602, data: [problem] }));
@@ -226,7 +226,7 @@ def test_a_refused_value_does_not_take_others_with_it(run: _Run) -> None:
 
 
 def test_a_change_that_depends_on_the_one_before_waits_for_it(run: _Run) -> None:
-    """Also where two are asked for at once, and where the change before is refused."""
+    """This holds also if two are requested at once, and if the first change is refused."""
     sent = run(
         CHANGES,
         FAKE
@@ -263,7 +263,7 @@ def test_a_step_is_sent_only_if_nobody_changed_what_it_changes(run: _Run) -> Non
     assert changed == [{"path": ["wood", "stiffness_n_per_m"], "is": 950, "wanted": 900}]
 
 
-# ---- Where the hand tries a material, and where objects go ---------------------------------------------------------
+# ---- Places at which the hand tries a material, and places of new objects ------------------------------------------
 
 SCENE = {
     "objects": {
@@ -338,13 +338,13 @@ def test_right_angles_are_exact(run: _Run) -> None:
         ({}, "plain", "Stability: not known yet."),
     ],
 )
-def test_the_margin_is_said_in_words(run: _Run, margins: dict[str, Any], kind: str, words: str) -> None:
+def test_the_margin_as_text(run: _Run, margins: dict[str, Any], kind: str, words: str) -> None:
     materials = {"comb": {"stiffness_n_per_m": 800.0}}
     body = "return w.stabilityOf(given[0], given[1], given[2], 'comb')"
-    told = run({"w": "editor/warnings.js"}, body, [margins, SCENE, materials])
-    assert told["kind"] == kind and told["text"].startswith(words)
+    found = run({"w": "editor/warnings.js"}, body, [margins, SCENE, materials])
+    assert found["kind"] == kind and found["text"].startswith(words)
 
 
 def test_without_a_handle_no_margin_is_known(run: _Run) -> None:
-    told = run({"w": "editor/warnings.js"}, "return w.stabilityOf(undefined, given, {}, 'comb')", SCENE)
-    assert told == {"kind": "plain", "text": "Stability: not known: device.handle is not given."}
+    found = run({"w": "editor/warnings.js"}, "return w.stabilityOf(undefined, given, {}, 'comb')", SCENE)
+    assert found == {"kind": "plain", "text": "Stability: not known: device.handle is not given."}

@@ -1,4 +1,4 @@
-"""What `web.schema` says to the panels: units apart, members that may be absent without null."""
+"""The answer of `web.schema`: units are separate members, and optional members do not allow null."""
 
 import json
 from typing import Any

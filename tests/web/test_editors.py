@@ -1,4 +1,4 @@
-"""The editors of materials and objects in the page: what is changed there is what the servo renders."""
+"""The editors of materials and objects in the page: the servo renders their changes."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ RATE_HZ = 1e4
 
 @pytest.fixture(scope="module")
 def demo(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
-    """A user without real-time rights misses many periods at 10 kHz: here they are no fault that takes the forces."""
+    """Run a demo whose missed periods, many at 10 kHz without real-time rights, are not a fault."""
     with running_demo(tmp_path_factory.mktemp("web"), servo={"overruns": {"threshold": 1.0}}) as running:
         yield running
 
 
 @pytest.fixture(scope="module")
 def page(_context: Pages) -> Iterator[Page]:
-    """One page for all tests of this file, without scene and scope, which have tests of their own and cost time."""
+    """Open one page for all tests of this file, without scene and scope, which have separate tests and cost time."""
     opened = _context.open()
     opened.evaluate("() => ['scene-view', 'scope'].forEach((id) => (document.getElementById(id).hidden = true))")
     yield opened
@@ -41,13 +41,13 @@ def page(_context: Pages) -> Iterator[Page]:
 
 @pytest.fixture(scope="module")
 def other(demo: Demo) -> Iterator[Any]:
-    """Another client of the demo's daemon."""
+    """Connect another client to the demo's daemon."""
     with hapticd.connect(runtime_dir_of(demo)) as daemon:
         yield daemon
 
 
 def runtime_dir_of(demo: Demo) -> str:
-    """That of its daemon, the child process whose command line names it."""
+    """Return the runtime directory in the command line of the demo's daemon, a child process."""
     for children in Path(f"/proc/{demo.process.pid}/task").glob("*/children"):
         for child in children.read_text().split():
             words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
@@ -58,7 +58,7 @@ def runtime_dir_of(demo: Demo) -> str:
 
 @pytest.fixture
 def scene(other: Any) -> Iterator[Any]:
-    """Puts scene and materials back after the test; gives the client."""
+    """Yield the other client, and restore scene and materials after the test."""
     was, materials = other.get_scene()["scene"], other.get_materials()["materials"]
     yield other
     now = other.get_materials()["materials"]
@@ -72,7 +72,7 @@ def panel(page: Page, name: str) -> Locator:
 
 
 def pick(page: Page, tab: str, name: str) -> Locator:
-    """The panel, with this material or object in it."""
+    """Return the panel of a tab, which shows this material or object."""
     found = panel(page, tab)
     found.locator(f'.option[data-name="{name}"]').dispatch_event("click")
     found.locator(f'.option[data-name="{name}"][aria-selected="true"]').wait_for()
@@ -85,7 +85,7 @@ def enter(field: Locator, text: str) -> None:
 
 
 def until(page: Page, condition: Callable[[], bool]) -> None:
-    """Until what the page did is so at the daemon."""
+    """Wait until the daemon has a change of the page."""
     for _ in range(1500):
         if condition():
             return
@@ -106,14 +106,14 @@ def materials(daemon: Any) -> Any:
 
 
 def pressed_force_n(daemon: Any, depth_m: float) -> float:
-    """What the floor pushes back with where the simulated hand rests that deep in it, 5 mm to the right."""
+    """Return the floor's force on the handle while the simulated hand rests at this depth, 5 mm to the right."""
     daemon.set_operator(waypoints=[[0.5, 0.005, 0.01], [1.0, 0.005, -depth_m], [2.5, 0.005, -depth_m]])
     assert daemon.wait_gesture(timeout_s=60.0)["completed"]
     return float(daemon.state()["contact_force_n"][1])
 
 
 def tapped_hz(daemon: Any) -> float:
-    """Where the spectrum of the floor's ringing is highest when it is tapped."""
+    """Tap the floor, and return the frequency at the maximum of its spectrum, in Hz."""
     taken = []
     with daemon.samples() as batches:
         answer = daemon.set_operator(gesture={"kind": "tap", "object": "floor", "speed_m_per_s": 0.2, "at_m": 0.005})
@@ -123,7 +123,7 @@ def tapped_hz(daemon: Any) -> float:
             if batch["tick"][-1] > end:
                 break
     found = np.concatenate(taken)
-    # By the time of each sample: between two there is more than a period where some were missed.
+    # Interpolated over time, because periods may have been missed.
     times_s = 1e-9 * (found["time_ns"] - found["time_ns"][0])
     even = np.interp(np.arange(0, times_s[-1], 1 / RATE_HZ), times_s, found["vibration_force_n"][:, 1])
     spectrum = np.abs(np.fft.rfft(even, 1 << 18))
@@ -131,11 +131,11 @@ def tapped_hz(daemon: Any) -> float:
 
 
 def highest_hz(frequency_hz: float, decay_time_s: float) -> float:
-    """Where the spectrum of A exp(-t/tau) sin(2 pi f t) is highest."""
+    """Return the frequency at which the spectrum of A exp(-t/tau) sin(2 pi f t) has its maximum, in Hz."""
     return float(np.sqrt(frequency_hz**2 - (1 / (2 * np.pi * decay_time_s)) ** 2))
 
 
-def test_a_slider_changes_what_the_servo_renders_and_undo_puts_back_the_very_values(page: Page, scene: Any) -> None:
+def test_a_slider_changes_what_the_servo_renders_and_undo_restores_the_exact_values(page: Page, scene: Any) -> None:
     before = materials(scene)
     found = pick(page, "materials", "wood")
     hand = 300.0
@@ -184,7 +184,7 @@ def test_a_drag_is_one_step_and_does_not_flood(page: Page, scene: Any) -> None:
           return [601, changes.calls - began];
         }"""
     )
-    # One call under way: never more of them than turns of the page, and the last value is in force.
+    # With one call under way there are never more calls than turns of the page, and the last value is in force.
     assert 1 < calls <= events / 10 + 3
     shown = number(found, "stiffness_n_per_m").input_value()
     until(page, lambda: materials(scene)["wood"]["stiffness_n_per_m"] == float(shown))
@@ -194,7 +194,7 @@ def test_a_drag_is_one_step_and_does_not_flood(page: Page, scene: Any) -> None:
     until(page, lambda: materials(scene)["wood"]["stiffness_n_per_m"] == before)
 
 
-def test_what_nobody_touches_stays_as_it_is_to_the_bit(page: Page, scene: Any) -> None:
+def test_untouched_values_stay_identical(page: Page, scene: Any) -> None:
     before, objects = materials(scene), scene.get_scene()
     touch = """(panel) => {
       for (const control of panel.querySelectorAll('.form input, .form select, .form textarea')) {
@@ -276,11 +276,11 @@ EVERY_OBJECT: dict[str, dict[str, Any]] = {
 }
 SCHEMA: Any = editor_schema()
 TABLES = {"ModeTable", "FrequencyTable", "Patch"}
-"""One table each, whose columns are their keys."""
+"""Definitions that are shown as one table, whose columns are the keys."""
 
 
 def definition_of(schema: Any, value: Any) -> str | None:
-    """The definition that a value has, by its `kind` where there are several."""
+    """Return the name of a value's definition; if there are several, its `kind` selects one."""
     if "$ref" in schema:
         return str(schema["$ref"].rpartition("/")[2])
     if "discriminator" in schema:
@@ -289,7 +289,7 @@ def definition_of(schema: Any, value: Any) -> str | None:
 
 
 def keys_of(name: str, value: Any, path: str = "") -> Iterator[tuple[str, str, str]]:
-    """(definition, key, path) of every key that a value has."""
+    """Yield (definition, key, path) of every key of a value."""
     for key, schema in SCHEMA["$defs"][name]["properties"].items():
         if key not in value or (name == "Scene" and key == "objects"):
             continue
@@ -326,19 +326,19 @@ def test_every_key_of_the_schema_has_a_control(page: Page, scene: Any) -> None:
             seen.add((name, key))
             inside = re.sub(r"\.(kind)$", ".kind", path)
             if name in ("Provenance", "ProvenanceFile", "FitVerdict") or (key == "kind" and tab == "objects"):
-                continue  # read, not edited; the kind of an object is its own
+                continue  # read, not edited
             if name in TABLES:
                 inside = re.sub(r"(\.\d+)?\.[^.]+$", "", path)
             if key in ("direction", "angle_rad") and name in ("Tap", "Rupture"):
                 inside = re.sub(r"[^.]+$", "choice-direction", path)
             assert by_path.get(inside, 0) > 0, (id, path)
     every = {(name, key) for name, each in SCHEMA["$defs"].items() for key in each["properties"]}
-    # What is said beside the figures of a fit has no control: it is read.
+    # Notes on the values of a fit have no control: they are only shown.
     read = {pair for pair in every if pair[0] in ("Provenance", "ProvenanceFile", "FitVerdict")}
     assert every - seen - read == {("Scene", "objects")}
 
 
-def test_the_problem_of_the_daemon_stands_at_its_field(page: Page, scene: Any) -> None:
+def test_the_problem_of_the_daemon_is_shown_at_its_field(page: Page, scene: Any) -> None:
     before = materials(scene)
     found = pick(page, "materials", "comb")
     for path, text, problem in (
@@ -350,7 +350,7 @@ def test_the_problem_of_the_daemon_stands_at_its_field(page: Page, scene: Any) -
         line = field(found, path).locator(".error-line")
         line.filter(has_text=problem).wait_for()
         assert number(found, path).get_attribute("aria-invalid") == "true"
-        assert number(found, path).input_value() == text  # nothing is lost
+        assert number(found, path).input_value() == text  # the typed text stays
         described = number(found, path).get_attribute("aria-describedby") or ""
         assert line.get_attribute("id") in described.split()
         assert materials(scene) == before
@@ -431,7 +431,7 @@ def test_blocks_and_kinds_come_and_go(page: Page, scene: Any) -> None:
     ):
         choose("display", display, key, "texture")
 
-    # The grooves ring with the mode of the tap: it has to stay one mode.
+    # The grooves use the mode of the tap, which must stay a single mode.
     ringing = materials(scene)
     form = field(found, "tap.choice-form")
     for option in ("waveform", "mode_table"):
@@ -484,7 +484,7 @@ def test_materials_are_copied_renamed_and_deleted(page: Page, scene: Any) -> Non
     found.get_by_label("New name").fill("grit")
     found.get_by_label("New name").press("Enter")
     until(page, lambda: "sandpaper" not in materials(scene))
-    found.get_by_role("heading", name="grit").wait_for()  # the page has heard so too
+    found.get_by_role("heading", name="grit").wait_for()  # the page has the change, too
     assert [patch["material"] for patch in scene.get_scene()["scene"]["objects"]["floor"]["patches"]] == [
         "comb",
         "grit",
@@ -505,7 +505,7 @@ def test_materials_are_copied_renamed_and_deleted(page: Page, scene: Any) -> Non
     assert [patch["material"] for patch in scene.get_scene()["scene"]["objects"]["floor"]["patches"]][1] == "sandpaper"
 
 
-def test_what_cannot_be_displayed_and_what_may_oscillate_stands_beside_the_figure(page: Page, scene: Any) -> None:
+def test_warnings_are_shown_next_to_the_figure(page: Page, scene: Any) -> None:
     found = pick(page, "materials", "wood")
     enter(number(found, "tap.frequency_hz"), "4500")
     warning = field(found, "tap.frequency_hz").locator(".warning-line")
@@ -519,7 +519,7 @@ def test_what_cannot_be_displayed_and_what_may_oscillate_stands_beside_the_figur
     slider.press("End")
     stability.filter(has_text="Not proved for every hand").filter(has_text="hapticd check").wait_for()
     assert scene.get_scene()["margins"]["floor"] < 1
-    # What another client changes comes without a margin, which the page asks for.
+    # A change of another client comes without a margin, which the page then requests.
     margin = scene.update_materials({"wood": {"stiffness_n_per_m": 100}})["margins"]["floor"]
     stability.filter(has_text=f"floor: 100 N/m. Limit: {float(f'{100 * margin:.3g}'):g} N/m").wait_for()
 
@@ -593,7 +593,7 @@ def test_patches_are_a_table_and_a_strip(page: Page, scene: Any) -> None:
     table.get_by_role("button", name="Add patch").dispatch_event("click")
     until(page, lambda: len(scene.get_scene()["scene"]["objects"]["floor"]["patches"]) == 3)
     table.locator(".patch-strip svg[aria-label*='comb from -45 to -15 mm']").wait_for()
-    table.get_by_label("Patch 1 to").fill("30")  # over the one that follows
+    table.get_by_label("Patch 1 to").fill("30")  # overlaps the next patch
     table.get_by_label("Patch 1 to").press("Enter")
     table.locator(".error-line").filter(has_text="overlap").wait_for()
     assert scene.get_scene()["scene"]["objects"]["floor"]["patches"][0]["to_m"] == -0.015
@@ -602,7 +602,7 @@ def test_patches_are_a_table_and_a_strip(page: Page, scene: Any) -> None:
 def test_a_number_that_is_left_for_a_button_is_kept(page: Page, scene: Any) -> None:
     table = field(pick(page, "objects", "floor"), "patches")
     table.get_by_label("Patch 1 from").fill("-45")
-    # Both in one turn of the page: what loses the focus is sent, and the button is pressed at once.
+    # In one turn of the page the field loses the focus, so that its number is sent, and the button is pressed.
     table.evaluate(
         """(table) => {
           table.querySelector("input").dispatchEvent(new Event("change"));

@@ -1,4 +1,4 @@
-"""Files and recordings over the wire: what a page may ask, and what it is refused."""
+"""Methods of files and recordings over the WebSocket: accepted and refused calls."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SCENE = {"objects": {"peg": {"kind": "disc", "center_m": [0.0, 0.0], "radius_m":
 
 
 def daemon(request: dict[str, Any]) -> list[bytes]:
-    """A daemon that knows its materials."""
+    """Answer like a daemon that has scene and materials."""
     materials = {name: material.to_dict() for name, material in shipped_materials().items()}
     match request["method"]:
         case "apply" if "unknown" in str(request["params"]):

@@ -1,4 +1,4 @@
-"""The files panel in the browser: YAML is opened, its faults have their line, what is saved opens again."""
+"""The files panel in the browser: YAML is opened, faults have their line, and saved files can be opened."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SCENE = "async () => (await hapticd.link.call('get_scene')).scene.objects"
 
 @pytest.fixture
 def files(page: Page) -> Page:
-    """A page with the panel in front, once it says what ships."""
+    """Return a page that shows the panel, once it lists the shipped files."""
     page.locator("#files-tab").click()
     page.wait_for_function("() => document.querySelector('#shipped-scene').options.length > 0")
     return page
@@ -38,9 +38,9 @@ def give(page: Page, text: str, name: str = "table.yaml") -> None:
 
 
 def wait_said(page: Page, begin: str) -> str:
-    """What the panel says, once it begins like this."""
-    page.wait_for_function("(begin) => document.querySelector('#files-said').textContent.startsWith(begin)", arg=begin)
-    return page.locator("#files-said").inner_text()
+    """Return the panel's message, once it begins with `begin`."""
+    page.wait_for_function("(text) => document.querySelector('#files-message').textContent.startsWith(text)", arg=begin)
+    return page.locator("#files-message").inner_text()
 
 
 def save(page: Page, folder: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Host and Origin, in every spelling: DNS rebinding and pages of other sites."""
+"""Checks of Host and Origin in every spelling, against DNS rebinding and pages of other sites."""
 
 from __future__ import annotations
 
@@ -134,6 +134,6 @@ def test_what_a_browser_says_of_who_asks() -> None:
 @settings(max_examples=30)
 @given(st.text(max_size=40))
 def test_no_other_spelling(host: str) -> None:
-    """Only these names are ours, whatever is tried."""
+    """No other spelling of a name is accepted."""
     if host.lower() not in ("localhost:8765", "127.0.0.1:8765"):
         assert refusal(HERE, host.encode("utf-8", "replace").decode("utf-8")) is not None

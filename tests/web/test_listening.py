@@ -1,4 +1,4 @@
-"""Where the server may listen, and what it takes for others to reach it."""
+"""Addresses at which the server may listen, and the options that other machines need to reach it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.special_files import refused as no_regular_file
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """A certificate with its key, and a password."""
+    """Return the paths of a certificate, its key and a password file."""
     folder = tmp_path_factory.mktemp("tls")
     found = {name: str(folder / name) for name in ("cert", "key", "other", "password")}
     for key, cert in (("key", "cert"), ("other", "other-cert")):
@@ -48,7 +48,7 @@ def closed(at: Listening) -> Listening:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "8.8.8.8", "0", "::ffff:8.8.8.8"])
-def test_an_address_that_others_reach_takes_tls_and_a_password(host: str, files: dict[str, str]) -> None:
+def test_an_address_that_others_reach_needs_tls_and_a_password(host: str, files: dict[str, str]) -> None:
     cert, key, password = files["cert"], files["key"], files["password"]
     for given, missing in (
         ((None, None, None), "--tls-cert and --tls-key and --password-file are missing"),
@@ -57,12 +57,12 @@ def test_an_address_that_others_reach_takes_tls_and_a_password(host: str, files:
         ((cert, None, password), "--tls-key is missing"),
         ((None, key, password), "--tls-cert is missing"),
     ):
-        told = refused(host, *given)
-        assert told.startswith(f"--host {host}: ") and told.endswith(missing)
+        problem = refused(host, *given)
+        assert problem.startswith(f"--host {host}: ") and problem.endswith(missing)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "LOCALHOST", "127.0.0.2", "::1"])
-def test_this_machine_alone_takes_nothing(host: str) -> None:
+def test_an_address_of_this_machine_needs_no_options(host: str) -> None:
     try:
         at = closed(listen(host, 0, None, None, None))
     except HapticdError as error:
@@ -139,14 +139,14 @@ def test_a_port_that_is_in_use() -> None:
     at.socket.close()
 
 
-def test_names_that_are_none() -> None:
+def test_invalid_host_names_are_refused() -> None:
     assert "--host nowhere.invalid:" in refused("nowhere.invalid", None, None, None)
     assert "--host a b:" in refused("a b", None, None, None)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_password_goes_to_nothing_but_a_new_file(kind: str, tmp_path: Path) -> None:
+def test_a_password_is_written_only_to_a_new_file(kind: str, tmp_path: Path) -> None:
     special(tmp_path / "password", kind)
     (tmp_path / "link").symlink_to("password")
     for name in ("password", "link"):

@@ -1,4 +1,4 @@
-"""What goes over the WebSocket: what a page may call, how much, and what becomes of everything else."""
+"""Messages of the WebSocket: allowed calls of a page, their limits, and refused messages."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_what_is_not_listed_is_refused_and_never_reaches_the_daemon(method: str)
     asyncio.run(test())
 
 
-def test_no_method_of_the_daemon_is_there_without_a_decision() -> None:
+def test_every_method_of_the_daemon_is_allowed_or_refused() -> None:
     known = {*_METHOD_HANDLERS, *streams.STREAM_KIND_BY_METHOD}
     assert known - page_calls.FORWARDED_METHODS - page_calls.SAFETY_METHODS - page_calls.STREAM_METHODS == {
         "reload",
@@ -162,7 +162,7 @@ def mutated(random_: random.Random) -> bytes:
 @settings(max_examples=300)
 @given(st.randoms(use_true_random=False))
 def test_what_the_daemon_would_take_is_seen_as_the_same_call(random_: random.Random) -> None:
-    """Only method and id are looked at; no message may be one method to us and another to the daemon."""
+    """The server reads only method and id: it must read the same method as the daemon."""
     body = mutated(random_)
     try:
         request = messages.parse_request(messages.decode(body))
@@ -173,8 +173,8 @@ def test_what_the_daemon_would_take_is_seen_as_the_same_call(random_: random.Ran
     assert (seen.method, seen.id, seen.has_id) == (request.method, request.id, request.has_id)
 
 
-def test_two_methods_in_one_message_are_no_way_round() -> None:
-    """The daemon refuses a key that occurs twice."""
+def test_a_message_with_two_methods_is_refused() -> None:
+    """The daemon refuses a duplicate key."""
     key = msgpack.packb("method")
     body = b"\x84" + msgpack.packb("jsonrpc") + msgpack.packb("2.0") + msgpack.packb("id") + b"\x01"
     for first, second in (("reload", "get_status"), ("get_status", "reload")):
@@ -204,7 +204,7 @@ def test_ten_thousand_mutated_messages() -> None:
     asyncio.run(test())
 
 
-# ---- How much --------------------------------------------------------------------------------------------------------
+# ---- Limits ----------------------------------------------------------------------------------------------------------
 
 
 def test_calls_under_way_are_bounded_and_stop_passes() -> None:
@@ -240,7 +240,7 @@ def test_streams_a_second_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
     async def test() -> None:
         async with served() as site, tab(site) as page:
-            assert "result" in await page.call("get_status")  # connected: what comes before that is refused
+            assert "result" in await page.call("get_status")  # waits for the connection: streams before it are refused
             for seq in range(200):
                 await page.notify("stream_target", {"seq": seq, "position_m": [0.0, 0.0]})
             assert "result" in await page.call("get_status")
@@ -252,14 +252,14 @@ def test_streams_a_second_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     asyncio.run(test())
 
 
-def test_an_allowance_is_so_much_at_once_and_so_much_a_second() -> None:
+def test_a_token_bucket_limits_burst_and_rate() -> None:
     now = 0.0
     allowance = Bucket(10.0, 5.0, lambda: now)
-    assert [allowance.take_if_there(1) for _ in range(7)] == [True] * 5 + [False] * 2
+    assert [allowance.try_take(1) for _ in range(7)] == [True] * 5 + [False] * 2
     now = 0.1
-    assert [allowance.take_if_there(1) for _ in range(2)] == [True, False]
+    assert [allowance.try_take(1) for _ in range(2)] == [True, False]
     now = 100.0
-    assert [allowance.take_if_there(1) for _ in range(6)] == [True] * 5 + [False]
+    assert [allowance.try_take(1) for _ in range(6)] == [True] * 5 + [False]
     assert allowance.take(20.0) == pytest.approx(2.0)
 
 
@@ -299,7 +299,7 @@ def test_telemetry_passes_as_it_came_to_each_page_that_wants_it() -> None:
 
 
 async def published(site: WebSite, page: Any, topic: str, body: dict[str, Any]) -> None:
-    """Sends until it arrives: a subscription takes its time to the daemon."""
+    """Publish a message until it arrives, because a subscription takes time to reach the daemon."""
     arrived = asyncio.create_task(page.telemetry(topic))
     while not arrived.done():
         site.daemon.publish(topic, body)
@@ -307,7 +307,7 @@ async def published(site: WebSite, page: Any, topic: str, body: dict[str, Any]) 
     assert arrived.result() == body
 
 
-def test_the_page_is_told_when_the_daemon_goes_and_comes() -> None:
+def test_the_page_gets_news_when_the_daemon_ends_and_starts() -> None:
     async def test() -> None:
         async with served(there=False) as site, tab(site) as page:
             while not (await page.telemetry("daemon"))["daemon"]:
@@ -327,7 +327,7 @@ def test_the_page_is_told_when_the_daemon_goes_and_comes() -> None:
     asyncio.run(test())
 
 
-def test_an_outbox_loses_the_oldest_of_a_topic_and_no_answer() -> None:
+def test_an_outbox_drops_the_oldest_of_a_topic_and_no_answer() -> None:
     async def test() -> None:
         box = outbox.Outbox()
         for number in range(1000):
@@ -349,7 +349,7 @@ def test_an_outbox_loses_the_oldest_of_a_topic_and_no_answer() -> None:
     asyncio.run(test())
 
 
-def test_what_waits_for_a_page_that_is_gone_is_dropped() -> None:
+def test_messages_that_wait_for_a_closed_page_are_dropped() -> None:
     async def test() -> None:
         box = outbox.Outbox()
         box.answer(b"a")
@@ -363,7 +363,7 @@ def test_what_waits_for_a_page_that_is_gone_is_dropped() -> None:
     asyncio.run(test())
 
 
-def test_an_outbox_takes_no_more_answers_than_it_may() -> None:
+def test_waiting_answers_are_limited() -> None:
     async def test() -> None:
         box = outbox.Outbox()
         with pytest.raises(outbox.OutboxFullError):

@@ -1,4 +1,4 @@
-"""`hapticd web --metrics`: what Prometheus gets, read by prometheus-client's own parser."""
+"""`hapticd web --metrics`: the metrics for Prometheus, read by prometheus-client's parser."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Figures = dict[str, dict[str, float]]
 
 
 def figures(address: str) -> Figures:
-    """Values by name, and by the labels' values."""
+    """Return the metrics' values by name and by the values of their labels."""
     with urllib.request.urlopen(address, timeout=30) as answer:
         assert answer.headers["Content-Type"].startswith("text/plain; version=")
         text = answer.read().decode()
@@ -32,7 +32,7 @@ def figures(address: str) -> Figures:
 
 
 def address_in(log: Path) -> str:
-    """Where they are, as the log says."""
+    """Return the address of the metrics from the log."""
     match = re.search(r"metrics at (http://127\.0\.0\.1:\d+/metrics)", log.read_text())
     assert match is not None, log.read_text()
     return match[1]
@@ -48,8 +48,8 @@ def test_figures_are_those_of_the_status(tmp_path: Path) -> None:
             until(lambda: figures(address)["hapticd_ticks_total"][""] >= before["tick"])
             found, after = figures(address), client.get_status(detail=True)
     for key in ("ticks", "strikes"):
-        told = found[f"hapticd_{key}_total"][""]
-        assert before["counters"][key] <= told <= after["counters"][key]  # type: ignore[literal-required]
+        count = found[f"hapticd_{key}_total"][""]
+        assert before["counters"][key] <= count <= after["counters"][key]  # type: ignore[literal-required]
     assert found["hapticd_rate_hertz"] == {"": before["rate_hz"]}
     assert found["hapticd_forces"] == {"on": 1, "off": 0, "faulted": 0}
     buckets = found["hapticd_lateness_seconds_bucket"]
@@ -64,8 +64,8 @@ def test_without_a_daemon_there_is_one_figure(tmp_path: Path) -> None:
         assert figures(address_in(tmp_path / "web.log")) == {"hapticd_up": {"": 0}}
 
 
-def test_a_port_that_is_taken_is_one_line(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_reported_in_one_line(capfd: pytest.CaptureFixture[str]) -> None:
     with running_daemon() as daemon, socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        told = refusal(capfd, "--runtime-dir", str(daemon.directory), "web", "--port", "0", "--metrics", port)
-    assert told == f"hapticd: --metrics {port}: Address already in use\n"
+        line = refusal(capfd, "--runtime-dir", str(daemon.directory), "web", "--port", "0", "--metrics", port)
+    assert line == f"hapticd: --metrics {port}: Address already in use\n"

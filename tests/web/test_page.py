@@ -1,4 +1,4 @@
-"""The page as a whole: it opens, its tabs move, it fits wide and narrow windows."""
+"""The complete page: it opens, its tabs move, and it fits wide and narrow windows."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_nothing_is_wider_than_a_narrow_window(page: Page) -> None:
 
 
 def parted(pages: Pages) -> tuple[Page, list[WebSocketRoute]]:
-    """A page that is not open yet, and the connections that it will make, which a test can close."""
+    """Return a page that is not open yet, and a list of its later connections, which a test can close."""
     page, sockets = pages.context.new_page(), []
 
     def connected(socket: WebSocketRoute) -> None:
@@ -67,7 +67,7 @@ def test_a_part_that_did_not_load_is_mounted_when_the_connection_is_back(pages: 
     assert "failed" not in page.locator("#materials-panel").inner_text()
     page.get_by_role("tab", name="Objects").click()
     assert page.locator("#objects-panel .part-failed").count() == 0
-    # What was mounted before is the same as it was, and there once.
+    # Parts that were mounted before are unchanged and not duplicated.
     assert page.evaluate("() => [hapticd.scope, hapticd.scene].every((each, k) => each === globalThis.before[k])")
     assert page.locator("#scope .scope-stage").count() == page.locator(".scene-canvas").count() == 1
 

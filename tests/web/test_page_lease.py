@@ -1,4 +1,4 @@
-"""Forces are turned on only under a living lease of the page that asks, and stop always passes."""
+"""Only a page that holds a lease can turn forces on, and every page can stop them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.web.served import served, tab, until
 
 
 class Control:
-    """A connection to a daemon that a test is."""
+    """The connection to a daemon that a test plays."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, dict[str, Any]]] = []
@@ -97,7 +97,7 @@ def test_forces_that_come_on_after_the_lease_lapsed_go_off_again() -> None:
     asyncio.run(test())
 
 
-def test_a_page_that_goes_renews_nothing_and_leaves_no_force_behind() -> None:
+def test_a_closed_page_does_not_renew_its_lease() -> None:
     async def test() -> None:
         async with served() as site:
             async with tab(site) as page:
@@ -106,7 +106,7 @@ def test_a_page_that_goes_renews_nothing_and_leaves_no_force_behind() -> None:
                 before = len(site.daemon.requests)
             await until(lambda: not site.pages.open)
             async with tab(site) as other:
-                # What a lease does then is the daemon's: nobody said anything more in the page's name.
+                # The daemon ends the lease: the server sent nothing more for the closed page.
                 await other.call("get_status")
                 assert [request["method"] for request in site.daemon.requests[before:]] == ["get_status"]
 
@@ -114,8 +114,8 @@ def test_a_page_that_goes_renews_nothing_and_leaves_no_force_behind() -> None:
 
 
 @pytest.mark.parametrize("params", [{"enabled": 1}, {"enabled": "true"}, {}, {"enabled": None}])
-def test_what_is_not_true_is_not_on(params: dict[str, Any]) -> None:
-    """The daemon refuses it; here it is not taken for a wish to turn forces on."""
+def test_only_true_turns_forces_on(params: dict[str, Any]) -> None:
+    """The daemon refuses other values; the server does not treat them as a request to turn forces on."""
 
     async def test() -> None:
         control = Control()

@@ -1,4 +1,4 @@
-"""The page's modules that keep samples, scene and connection, imported in the page and given what a test makes up."""
+"""The page's modules for samples, scene and connection, imported in the page with data made up by tests."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from tests.web.browser import Pages
 
 pytestmark = pytest.mark.slow
 
-# Batches as the daemon sends them, made of a description: [name, format, value(tick, component)].
+# Makes batches like those of the daemon from a description: [name, format, value(tick, component)].
 MAKE = """
-  const { SampleStore, MOST_ROWS } = await import("/static/samples.js");
+  const { SampleStore, MAX_ROWS } = await import("/static/samples.js");
   const WIDTHS = { f8: 8, f4: 4, i8: 8, u8: 8, i4: 4, u4: 4, u2: 2 };
   const SETTERS = { f8: "setFloat64", f4: "setFloat32", i8: "setBigInt64", u8: "setBigUint64", i4: "setInt32",
                     u4: "setUint32", u2: "setUint16" };
@@ -74,7 +74,7 @@ def test_samples_are_read_by_their_dtype_wherever_fields_lie_and_however_they_ar
         assert each == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_field_that_samples_do_not_have_is_no_number(page: Page) -> None:
+def test_a_field_that_samples_do_not_have_is_nan(page: Page) -> None:
     script = """
         const store = new SampleStore(1);
         store.add(batch(0, 2, TODAY.filter(([name]) => name !== "velocity_m_per_s")));
@@ -103,23 +103,23 @@ def test_the_ring_keeps_the_newest_and_grows_with_the_rate(page: Page) -> None:
         store.setRate(10);
         return [before, after, store.capacity];""",
     )
-    # After it grew, the rows of before the growth are those that the small ring had.
+    # After the ring grew, its older rows are those of the small ring.
     assert found == [[250, 150, 100, 150, 249], [260, 150, 1000, 200, 259, 0], 1000]
 
 
-def test_lost_samples_are_counted_and_those_of_the_daemon_apart(page: Page) -> None:
+def test_lost_samples_are_counted_and_those_of_the_daemon_separately(page: Page) -> None:
     found = logic(
         page,
         """
         const store = new SampleStore(1);
-        const told = [];
-        store.addEventListener("lost", (event) => told.push(event.detail.count));
+        const counts = [];
+        store.addEventListener("lost", (event) => counts.push(event.detail.count));
         store.add(batch(0, 10));
         store.add(batch(15, 10));            // 5 lost on the way
         store.add(batch(32, 10, TODAY, 4));  // 7 missing, 4 of them in the daemon
         store.expectGap();
         store.add(batch(900, 10, TODAY, 20)); // left out on purpose
-        return [store.lost, store.dropped, told, store.ticks[store.rows - 1]];""",
+        return [store.lost, store.dropped, counts, store.ticks[store.rows - 1]];""",
     )
     assert found == [12, 4, [5, 7], 909]
 
@@ -146,7 +146,7 @@ def test_a_minute_at_10_khz_takes_less_than_60_mb(page: Page) -> None:
         const arrays = [store.ticks, ...Object.values(store.columns)];
         const bytes = arrays.reduce((sum, { byteLength }) => sum + byteLength, 0);
         store.setRate(100000);
-        return [bytes, store.capacity === MOST_ROWS];"""
+        return [bytes, store.capacity === MAX_ROWS];"""
     size, bounded = logic(page, script)
     assert 600_000 * 60 < size < 60e6 and bounded
 
@@ -174,7 +174,7 @@ FAKE_LINK = """
 """
 
 
-def test_changes_are_applied_without_asking(page: Page) -> None:
+def test_changes_are_applied_without_a_request(page: Page) -> None:
     script = f"""{FAKE_LINK}
         link.tell("change", {{ revision: 2, objects: {{ a: null, b: {{ kind: "disc" }} }}, scene: {{ ramp_s: 0.1 }} }});
         link.tell("change", {{ revision: 3, materials: {{ wood: {{ stiffness_n_per_m: 5 }} }} }});
@@ -190,7 +190,7 @@ def test_changes_are_applied_without_asking(page: Page) -> None:
     ]
 
 
-def test_a_change_that_was_missed_has_everything_asked_for_once_however_many_follow(page: Page) -> None:
+def test_a_missed_change_causes_one_request_for_everything(page: Page) -> None:
     script = f"""{FAKE_LINK}
         link.revision = 40;
         for (let revision = 10; revision <= 40; revision++) link.tell("change", {{ revision, objects: {{}} }});
@@ -200,7 +200,7 @@ def test_a_change_that_was_missed_has_everything_asked_for_once_however_many_fol
     assert page.evaluate(f"async () => {{ {script} }}") == [True, 4]
 
 
-def test_a_status_of_another_daemon_has_everything_asked_for(page: Page) -> None:
+def test_a_status_of_another_daemon_causes_a_request_for_everything(page: Page) -> None:
     script = f"""{FAKE_LINK}
         link.tell("status", {{ started_ns: 1, revision: 0 }}); // of before
         const before = link.asked.length;
@@ -250,4 +250,4 @@ def test_parts_that_failed_are_mounted_again_and_no_others(page: Page, pages: Pa
     assert found["last"] == ["begins, mounted"] * 3
     assert found["mounts"] == ["whole", *["late", "later"] * 3]
     assert found["heard"] == ["whole", "late", "later"]
-    assert len(pages.take_errors()) == 4  # each failure on the console, for whoever looks for its cause
+    assert len(pages.take_errors()) == 4  # each failure is on the console

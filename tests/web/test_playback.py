@@ -1,4 +1,4 @@
-"""A recording that is open: rows, outlines and the scene at a row."""
+"""An open recording: rows, outlines and the scene at a row."""
 
 from typing import Any
 
@@ -50,7 +50,7 @@ def test_rows_beyond_are_refused(first: int, count: int) -> None:
         Playback(recording()).rows(first, count)
 
 
-def test_an_outline_has_the_least_and_the_largest_of_each_pixel() -> None:
+def test_an_outline_has_minimum_and_maximum_of_each_pixel() -> None:
     playback = Playback(recording())
     found = playback.outline("force_x_n", 0, 1000, 10)
     wanted = recording().samples["force_n"][:, 0].reshape(10, 100)
@@ -65,7 +65,7 @@ def test_an_outline_of_few_rows_is_raw() -> None:
     assert floats(found["raw"]).tolist() == wanted.astype("f4").tolist()
 
 
-def test_an_outline_leaves_out_what_is_no_number() -> None:
+def test_an_outline_leaves_out_nan() -> None:
     given = recording()
     given.samples["force_n"][5, 0] = np.nan
     given.samples["force_n"][300:400, 0] = np.nan

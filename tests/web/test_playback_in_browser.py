@@ -1,4 +1,4 @@
-"""A recording looked through in the browser: what the page draws from is what the file holds."""
+"""A recording shown in the browser: the page draws the samples of the file."""
 
 from __future__ import annotations
 
@@ -84,6 +84,6 @@ def test_it_plays_every_row_to_the_end_and_jumps(page: Page, folder: Path) -> No
         "async () => { const p = hapticd.playback; await Promise.all([p.seek(10), p.seek(3000), p.seek(70)]); }"
     )
     assert page.evaluate("() => hapticd.playback.row") == 70
-    times_ns = recording.samples["time_ns"]  # not 70 periods where some were missed
+    times_ns = recording.samples["time_ns"]  # more than 70 periods if some were missed
     passed_s = 1e-9 * float(times_ns[70] - times_ns[0])
     assert np.isclose(page.evaluate("() => hapticd.playback.timeS"), passed_s, atol=2e-4)

@@ -1,4 +1,4 @@
-"""`hapticd web` as a process: what it prints, how it ends, and what becomes of the daemon of a demo."""
+"""`hapticd web` as a process: its output, its end, and the end of a demo's daemon."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.web.served import Tab, asked
 
 
 class Web:
-    """The process, and the address that it printed."""
+    """A process of `hapticd web`, and the address that it printed."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self.process = process
@@ -35,7 +35,7 @@ class Web:
 
 @contextmanager
 def running(folder: Path, *words: str, before: tuple[str, ...] = ()) -> Iterator[Web]:
-    """Until the end of the block, which it must reach; then ended, which must go well."""
+    """Run `hapticd web` until the end of the block, then end it; its exit code must be 0."""
     with open(folder / "web.log", "wb") as log:
         process = subprocess.Popen(
             [sys.executable, "-m", "hapticd", *before, "web", "--port", "0", *words],
@@ -58,7 +58,7 @@ def running(folder: Path, *words: str, before: tuple[str, ...] = ()) -> Iterator
 
 
 def refusal(capfd: pytest.CaptureFixture[str], *words: str) -> str:
-    """The one line of a command that is refused."""
+    """Return the single error line of a refused command."""
     assert main(list(words)) != 0
     out, err = capfd.readouterr()
     assert out == "" and err.count("\n") == 1, err
@@ -119,7 +119,7 @@ def test_it_ends_at_once_with_pages_open_that_do_not_read(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_a_daemon_that_is_restarted_is_found_again(tmp_path: Path) -> None:
+def test_a_restarted_daemon_is_found_again(tmp_path: Path) -> None:
     async def test(address: str, daemon: int, command: list[str]) -> None:
         origin = address.partition("/?")[0]
         async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as session:
@@ -146,14 +146,14 @@ def test_a_daemon_that_is_restarted_is_found_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_without_a_daemon_it_says_so_and_waits(tmp_path: Path) -> None:
+def test_without_a_daemon_it_reports_this_and_waits(tmp_path: Path) -> None:
     with running(tmp_path, before=("--runtime-dir", str(tmp_path / "none"))) as web:
         assert asyncio.run(asked(web.address, "web.hello"))["result"]["daemon"] is False
     assert "no daemon at" in (tmp_path / "web.log").read_text()
 
 
 @pytest.mark.slow
-def test_what_cannot_start_says_why_in_one_line(
+def test_a_failed_start_is_reported_in_one_line(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     assert "--tls-key and --password-file are missing" in refusal(capfd, "web", "--host", "0.0.0.0", "--tls-cert", "x")
@@ -164,8 +164,8 @@ def test_what_cannot_start_says_why_in_one_line(
     assert "leave --runtime-dir out" in refusal(capfd, "--runtime-dir", str(tmp_path), "web", "--demo")
     broken = tmp_path / "play.yaml"
     broken.write_text("servo: {rate_hz: none}\n")
-    told = refusal(capfd, "web", "--demo", "-c", str(broken), "--port", "0")
-    assert "the daemon of the demo did not start: " in told and "rate_hz" in told
+    line = refusal(capfd, "web", "--demo", "-c", str(broken), "--port", "0")
+    assert "the daemon of the demo did not start: " in line and "rate_hz" in line
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert refusal(capfd, "web") == "hapticd: hapticd web needs aiohttp: pip install 'hapticd[web]'\n"
 

@@ -1,4 +1,4 @@
-"""A recording that a page begins: one at a time, news to pages, every way in which it ends."""
+"""A recording that a page begins: one at a time, with news to pages, and all ways in which it ends."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def summary(target: Path, ended: str | None) -> RecordSummary:
 def until_stopped(
     _: object, target: Path, duration_s: float | None, *, stop: Any, progress: Any, opened: Any, **rest: object
 ) -> RecordSummary:
-    """In place of hapticd.client.record.record."""
+    """Take the place of hapticd.client.record.record: record until stopped."""
     opened(Writer())
     progress(0.0)
     progress(0.004)
@@ -39,7 +39,7 @@ def until_stopped(
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """Runs a coroutine that gets a recorder; `record` takes the place of the one that needs a daemon."""
+    """Return a function that runs a coroutine with a recorder; `record` replaces hapticd.client.record.record."""
 
     def running(test: Callable[[WebRecorder], Coroutine[Any, Any, Any]], record: Any = until_stopped) -> Any:
         monkeypatch.setattr(recorder, "record", record)
@@ -58,7 +58,7 @@ def test_it_is_begun_and_stopped_and_pages_hear_of_it(run: Callable[..., Any], t
         made.watch(news.append)
         state = await made.start("tap.npz", {"note": "first"}, None)
         assert (state["recording"], state["name"]) == (True, "tap.npz")
-        assert state["recorded_s"] in (0.0, 0.004)  # it goes on beside us
+        assert state["recorded_s"] in (0.0, 0.004)  # the thread continues meanwhile
         assert (state["ticks"], state["bytes"]) == (40, 4480)
         with pytest.raises(HapticdError, match=r"a recording is under way: tap\.npz; stop it first"):
             await made.start("other.npz")
@@ -80,7 +80,7 @@ def test_it_is_begun_and_stopped_and_pages_hear_of_it(run: Callable[..., Any], t
     assert (tmp_path / "tap.npz").read_bytes() == b"whole"
 
 
-def test_it_goes_on_without_the_page_that_began_it(run: Callable[..., Any], tmp_path: Path) -> None:
+def test_it_continues_without_the_page_that_began_it(run: Callable[..., Any], tmp_path: Path) -> None:
     async def test(made: WebRecorder) -> None:
         news: list[Mapping[str, Any]] = []
         made.watch(news.append)
@@ -96,7 +96,7 @@ def test_it_goes_on_without_the_page_that_began_it(run: Callable[..., Any], tmp_
     assert (tmp_path / "tap.npz").exists()
 
 
-def test_why_it_ended_early_is_said(run: Callable[..., Any]) -> None:
+def test_the_reason_of_an_early_end_is_reported(run: Callable[..., Any]) -> None:
     def ends(_: object, target: Path, *rest: object, progress: Any, opened: Any, **more: object) -> RecordSummary:
         opened(Writer())
         progress(0.004)
@@ -115,7 +115,7 @@ def test_why_it_ended_early_is_said(run: Callable[..., Any]) -> None:
 @pytest.mark.parametrize(
     ("error", "said"), [(HapticdError("no daemon listens"), "no daemon listens"), (KeyError("x"), "internal error")]
 )
-def test_what_keeps_it_from_beginning_is_said(run: Callable[..., Any], error: Exception, said: str) -> None:
+def test_the_reason_why_it_cannot_begin_is_reported(run: Callable[..., Any], error: Exception, said: str) -> None:
     def fails(*rest: object, **more: object) -> RecordSummary:
         raise error
 
@@ -152,7 +152,7 @@ def test_params_are_checked_before_anything_is_begun(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_is_said_before_the_beginning(run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_before_the_beginning(run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RecordingFolder, "free_bytes", lambda _: 1 << 20)
 
     async def test(made: WebRecorder) -> None:

@@ -1,4 +1,4 @@
-"""The folder of recordings: a page names what is in it, and nothing else."""
+"""The folder of recordings: a page can name only the recordings in the folder."""
 
 import os
 from pathlib import Path
@@ -17,7 +17,7 @@ def folder(tmp_path: Path) -> RecordingFolder:
 
 
 @pytest.mark.parametrize("name", ["tap 3.npz", "Ärger-2.npz", "2026-11-23 14.05.npz", "a+b_c.npz", "1" * 60 + ".npz"])
-def test_names_of_recordings_are_taken(name: str) -> None:
+def test_names_of_recordings_are_accepted(name: str) -> None:
     assert checked_name(name) == name
 
 
@@ -60,7 +60,7 @@ def test_other_names_are_refused(name: object, folder: RecordingFolder) -> None:
         folder.delete(name)
 
 
-def test_the_list_has_recordings_alone_and_the_newest_first(folder: RecordingFolder) -> None:
+def test_the_list_has_only_recordings_and_the_newest_first(folder: RecordingFolder) -> None:
     folder.target("second.npz").write_bytes(b"second")
     os.utime(folder.path / "first.npz", ns=(1, 1))
     (folder.path / "notes.txt").write_text("no recording")
@@ -85,7 +85,7 @@ def test_a_file_is_read(folder: RecordingFolder) -> None:
 
 
 @pytest.mark.parametrize("make", ["symlink", "folder", "pipe"])
-def test_what_is_no_regular_file_is_not_opened(folder: RecordingFolder, tmp_path: Path, make: str) -> None:
+def test_only_regular_files_are_opened(folder: RecordingFolder, tmp_path: Path, make: str) -> None:
     secret, place = tmp_path / "secret", folder.path / "link.npz"
     secret.write_text("secret")
     match make:
@@ -102,7 +102,7 @@ def test_what_is_no_regular_file_is_not_opened(folder: RecordingFolder, tmp_path
     assert os.path.lexists(place)
 
 
-def test_a_taken_name_is_refused_and_a_dangling_link_too(folder: RecordingFolder) -> None:
+def test_the_name_of_an_existing_file_or_dangling_link_is_refused(folder: RecordingFolder) -> None:
     with pytest.raises(HapticdError, match=r"first\.npz already exists"):
         folder.target("first.npz")
     os.symlink("/nowhere", folder.path / "gone.npz")

@@ -1,6 +1,6 @@
-"""The tab of the recordings: made, listed, downloaded, looked through and left with its own controls.
+"""The tab of the recordings: its controls make, list, download, show and close recordings.
 
-What the page draws from while it plays is tested in test_playback_in_browser.py, the files in test_recorder.py.
+test_playback_in_browser.py tests the samples that the page draws, test_recorder.py the files.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ def demo(browser: Browser, folder: Path) -> Iterator[Demo]:
 
 @pytest.fixture
 def panel(page: Page) -> Locator:
-    """The tab, on a page whose samples come and whose forces are on."""
+    """Return the tab of a page that receives samples and has turned the forces on."""
     page.wait_for_function("() => hapticd.samples.rows > 100 && hapticd.safety.forces === 'on'")
     page.get_by_role("tab", name="Recordings").click()
     return page.locator("#recordings-panel")
 
 
 def record(panel: Locator, stem: str, note: str = "") -> None:
-    """A tap and half a second after it, with the controls of the page."""
+    """Record a tap and half a second after it, with the controls of the page."""
     page = panel.page
     panel.get_by_label("Name", exact=True).fill(stem)
     panel.get_by_label("Notes, kept in the file").fill(note)
@@ -60,13 +60,13 @@ def record(panel: Locator, stem: str, note: str = "") -> None:
     panel.get_by_role("status").filter(has_text=f"{stem}.npz: ").wait_for()
 
 
-def look_through(panel: Locator, name: str) -> None:
+def show_recording(panel: Locator, name: str) -> None:
     panel.get_by_role("button", name=f"Open {name}").click()
     panel.get_by_role("heading", name=name).wait_for()
 
 
 def seek(panel: Locator, row: int) -> None:
-    """Moves the slider to a row, and waits until it is shown."""
+    """Move the slider to a row, and wait until the row is shown."""
     panel.get_by_role("slider", name="Moment").fill(str(row))
     panel.page.wait_for_function(
         "(row) => hapticd.playback.row === row && hapticd.scope.source.rows === row + 1", arg=row
@@ -91,16 +91,16 @@ def test_what_is_recorded_is_listed_and_its_download_is_the_recording(
     assert "contact" in [event["event"] for event in loaded.events]
 
 
-def test_a_recording_is_looked_through_moment_by_moment_and_left(panel: Locator, folder: Path) -> None:
+def test_a_recording_is_shown_moment_by_moment_and_closed(panel: Locator, folder: Path) -> None:
     page, name = panel.page, "looked through.npz"
     record(panel, "looked through")
     recording = hapticd.load(folder / name)
     samples = recording.samples
-    look_through(panel, name)
+    show_recording(panel, name)
     slider = panel.get_by_role("slider", name="Moment")
     assert page.evaluate("() => document.activeElement.id") == slider.get_attribute("id") == "recording-moment"
     assert slider.get_attribute("max") == str(len(samples) - 1)
-    # The moment at which the floor pushes most, and one before the tap.
+    # The moment of the floor's largest force, and one before the tap.
     pushed = int(np.argmax(samples["contact_force_n"][:, 1]))
     assert samples["contact_force_n"][pushed, 1] > 0.1
     for row in (pushed, 5):
@@ -127,11 +127,11 @@ def test_a_recording_is_looked_through_moment_by_moment_and_left(panel: Locator,
     page.wait_for_function(f"() => hapticd.scope.source.rows > {rows}")
 
 
-def test_a_click_on_the_outline_goes_there_and_play_goes_on_to_the_end(panel: Locator, folder: Path) -> None:
+def test_a_click_on_the_outline_goes_there_and_play_continues_to_the_end(panel: Locator, folder: Path) -> None:
     page, name = panel.page, "clicked.npz"
     record(panel, "clicked")
     rows = len(hapticd.load(folder / name).samples)
-    look_through(panel, name)
+    show_recording(panel, name)
     box = panel.get_by_role("img", name="Force over time").bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + box["height"] / 2)
@@ -142,9 +142,9 @@ def test_a_click_on_the_outline_goes_there_and_play_goes_on_to_the_end(panel: Lo
 
 
 def damaged(folder: Path, kind: str) -> tuple[str, bytes]:
-    """A file that is no recording any more, or never was: name and content."""
-    whole = next(folder.glob("*.npz")).read_bytes()
-    return "damaged.npz", {"empty": b"", "foreign": b"no recording\n" * 50, "cut": whole[: len(whole) // 2]}[kind]
+    """Return name and content of a file that is damaged or not a recording."""
+    complete = next(folder.glob("*.npz")).read_bytes()
+    return "damaged.npz", {"empty": b"", "foreign": b"no recording\n" * 50, "cut": complete[: len(complete) // 2]}[kind]
 
 
 @pytest.mark.parametrize("kind", ["empty", "foreign", "cut"])
@@ -153,7 +153,7 @@ def test_a_damaged_file_gets_one_line_that_names_it(panel: Locator, folder: Path
     if not list(folder.glob("*.npz")):
         record(panel, "whole")
     intact = next(folder.glob("*.npz")).name
-    look_through(panel, intact)
+    show_recording(panel, intact)
     name, content = damaged(folder, kind)
     panel.get_by_label("Open a file of yours").set_input_files(
         {"name": name, "mimeType": "application/octet-stream", "buffer": content}
@@ -162,14 +162,14 @@ def test_a_damaged_file_gets_one_line_that_names_it(panel: Locator, folder: Path
     line.wait_for()
     said = line.inner_text()
     assert said.count(name) == 1 and "\n" not in said and "Traceback" not in said and "/" not in said
-    # The page is at the present, not in a recording that hapticd web has closed; another one can be opened.
+    # The page shows the present and not the closed recording; another one can be opened.
     page.wait_for_function("() => !hapticd.playback.active")
     assert panel.get_by_role("status").inner_text() == ""
-    look_through(panel, intact)
+    show_recording(panel, intact)
     assert line.count() == 0
 
 
-def test_a_whole_file_of_the_person_s_is_opened(panel: Locator, folder: Path, tmp_path: Path) -> None:
+def test_a_file_of_the_user_is_opened(panel: Locator, folder: Path, tmp_path: Path) -> None:
     record(panel, "sent")
     copy = tmp_path / "from elsewhere.npz"
     copy.write_bytes((folder / "sent.npz").read_bytes())
@@ -177,7 +177,7 @@ def test_a_whole_file_of_the_person_s_is_opened(panel: Locator, folder: Path, tm
     panel.get_by_role("heading", name=copy.name).wait_for()
     rows = len(hapticd.load(copy).samples)
     assert panel.page.evaluate("() => hapticd.playback.facts.rows") == rows
-    assert panel.get_by_role("rowheader", name=copy.name).count() == 0  # it is not put among those that are kept
+    assert panel.get_by_role("rowheader", name=copy.name).count() == 0  # it is not added to the folder
 
 
 def test_a_recording_is_deleted_after_a_second_question(panel: Locator, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Forces are on only while a living page holds them, and every page can stop them."""
+"""Forces are on only while a running page holds the lease, and every page can stop them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RECORD_STOPS = """() => {
 
 @pytest.fixture
 def held(page: Page) -> Page:
-    """A page that holds the forces, whatever the test before it left."""
+    """Return a page that controls the forces, regardless of the test before."""
     page.wait_for_function("() => hapticd.safety.holder === null && hapticd.safety.forces !== 'unknown'")
     assert page.evaluate("() => hapticd.safety.engage()")
     page.wait_for_function(ON)
@@ -40,7 +40,7 @@ def held(page: Page) -> Page:
 
 
 def key_times(page: Page, key: str) -> float:
-    """Presses a key; when the page got it, performance.now()."""
+    """Press a key, and return performance.now() of the page when it got the key."""
     page.evaluate(
         "() => { globalThis.keyAt = null;"
         " addEventListener('keydown', () => (globalThis.keyAt = performance.now()), { capture: true, once: true }) }"
@@ -50,7 +50,7 @@ def key_times(page: Page, key: str) -> float:
 
 
 def test_the_space_bar_takes_the_force_to_zero_within_50_ms(held: Page) -> None:
-    """The least of five: the machine may hold up one of them."""
+    """The shortest of five times counts, because the machine may delay one of them."""
     took = []
     now_ms(held)
     for _ in range(5):
@@ -67,7 +67,7 @@ def test_the_space_bar_takes_the_force_to_zero_within_50_ms(held: Page) -> None:
 
 @pytest.mark.parametrize("way", ["button", "Space on a button", "Escape in a field", "Enter on the stop button"])
 def test_every_way_to_stop_stops(held: Page, way: str) -> None:
-    """By a call that the daemon answers: a page that only lets its lease lapse fails."""
+    """The page must stop the forces by a call that the daemon answers, not by the end of its lease."""
     held.evaluate(
         "() => document.getElementById('materials-panel').insertAdjacentHTML('beforeend', '<input id=\"typed\">')"
     )
@@ -84,7 +84,7 @@ def test_every_way_to_stop_stops(held: Page, way: str) -> None:
         held.locator("#typed").focus()
         held.keyboard.press("Escape")
     held.wait_for_function("() => stopped.length > 0 && !hapticd.safety.stopping")
-    # `faulted`: the machine held the page up for longer than its lease, and the forces had faded before the stop.
+    # `faulted`: the machine blocked the page for longer than its lease, and the forces faded before the stop.
     (forces,) = held.evaluate("() => stopped")
     assert forces in ("off", "faulted") and held.evaluate("() => hapticd.safety.forces") == forces
     assert held.evaluate("() => hapticd.safety.holder") is None
@@ -121,13 +121,13 @@ def test_a_tab_that_is_closed_lets_the_force_fade_within_the_lease(held: Page, p
     wait_for_no_force(watching)
     assert 0 < last_force_ms(watching) - before < 1200
     assert "was closed, froze or lost its connection" in watching.locator("#alerts").inner_text()
-    assert engage(watching), "the next page goes on with a press on the scene"
+    assert engage(watching), "the next page continues with a press on the scene"
 
 
 def test_a_frozen_page_lets_the_force_fade_and_does_not_take_it_back(
     page: Page, pages: Pages, browser: Browser
 ) -> None:
-    """In a browser of its own, whose renderers are stopped: pages that are seen do not heed the freeze of DevTools."""
+    """In a separate browser whose renderers are stopped, because DevTools cannot freeze visible pages."""
     page.wait_for_function("() => hapticd.safety.holder === null")
     other = browser.browser_type.launch(executable_path=executable(), args=flags())
     try:
@@ -179,7 +179,7 @@ def test_one_page_holds_the_forces_and_the_other_watches_stops_and_takes_over(he
 
 
 def test_a_hidden_page_that_lives_keeps_the_forces(held: Page, pages: Pages) -> None:
-    """Its timers are slowed down to one a second, or less; its worker's are not."""
+    """Its timers run once a second or less often; those of its worker are not slowed down."""
     ticks = "() => hapticd.link.call('get_status').then((status) => [status.tick, status.forces, status.rate_hz])"
     session = held.context.new_cdp_session(held)
     session.send("Emulation.setFocusEmulationEnabled", {"enabled": False})
@@ -191,9 +191,9 @@ def test_a_hidden_page_that_lives_keeps_the_forces(held: Page, pages: Pages) -> 
     assert held.evaluate("() => hapticd.safety.holds")
 
 
-def test_without_an_answer_the_forces_fade_and_the_stop_is_said_to_be_lost(held: Page, pages: Pages) -> None:
+def test_without_an_answer_the_forces_fade_and_the_stop_is_reported_as_lost(held: Page, pages: Pages) -> None:
     press(held)
-    pages.demo.process.send_signal(signal.SIGSTOP)  # the network is gone; the daemon is another process
+    pages.demo.process.send_signal(signal.SIGSTOP)  # the network fails; the daemon is another process
     try:
         held.keyboard.press("Escape")
         held.wait_for_function("() => hapticd.safety.problem.includes('did not reach the daemon')")
@@ -227,7 +227,7 @@ def test_a_space_stops_and_does_not_use_what_has_the_focus(held: Page, kind: str
     held.keyboard.press(" ")
     held.wait_for_function(OFF)
     assert held.evaluate("() => used") == 0
-    if kind in ("button", "checkbox"):  # Enter uses them, and stops nothing
+    if kind in ("button", "checkbox"):  # Enter activates them and does not stop the forces
         assert held.evaluate("() => hapticd.safety.engage()")
         held.keyboard.press("Enter")
         assert held.evaluate("() => used") > 0
@@ -237,7 +237,7 @@ def test_a_space_stops_and_does_not_use_what_has_the_focus(held: Page, kind: str
 
 
 def test_escape_either_takes_something_back_or_stops(held: Page) -> None:
-    """A field that is being edited, a panel, a selection: the first press is theirs, the next one stops."""
+    """With an edited field, an open panel or a selection, the first press cancels these, and the next one stops."""
     field = held.locator('#materials-panel [data-path="stiffness_n_per_m"] .number-input').first
     was = field.input_value()
     scope, canvas = held.locator("#scope"), held.locator(".scene-canvas")

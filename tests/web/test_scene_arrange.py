@@ -1,4 +1,4 @@
-"""Objects arranged in the scene view: what is added, moved, turned, sized and deleted is so at the daemon; undo."""
+"""Arranging objects in the scene view: the daemon gets added, moved, turned, sized and deleted objects; undo."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tests.web.drawing import on_page, scene_page, texts, to_px
 
 pytestmark = pytest.mark.slow
 
-TURN_PX = 34  # how far the grip that turns stands from what it turns
+TURN_PX = 34  # distance of the turning grip from its object
 
 
 @pytest.fixture(scope="module")
 def page(_context: Pages) -> Iterator[Page]:
-    """One for all tests, that takes no samples: nothing here moves the handle."""
+    """Open one page for all tests, without samples, because no test moves the handle."""
     with scene_page(_context) as opened:
         opened.evaluate("() => hapticd.link.subscribe(['state', 'event', 'change', 'status'])")
         yield opened
@@ -27,7 +27,7 @@ def page(_context: Pages) -> Iterator[Page]:
 
 @pytest.fixture
 def scene(page: Page) -> Iterator[Page]:
-    """A page in Arrange mode, that shows all objects; the scene is put back after the test."""
+    """Return a page in Arrange mode that shows all objects; restore the scene after the test."""
     was = objects(page)
     page.get_by_role("button", name="Arrange: the pointer moves objects").click()
     page.evaluate("() => { hapticd.scene.arrange.select(null); hapticd.scene.fit('objects'); }")
@@ -37,13 +37,13 @@ def scene(page: Page) -> Iterator[Page]:
 
 
 def objects(page: Page) -> dict[str, Any]:
-    """Those that the daemon renders."""
+    """Return the objects that the daemon renders."""
     found: dict[str, Any] = page.evaluate("() => hapticd.link.call('get_scene').then(({ scene }) => scene.objects)")
     return found
 
 
 def wait_for(page: Page, id: str, condition: str, argument: object = None) -> Any:
-    """An object, once it is so at the daemon (`condition` of object and given) and the page shows it so."""
+    """Return an object once it meets `condition`, at the daemon and on the page."""
     page.wait_for_function(
         f"""async ([id, given]) => {{
           const {{ scene }} = await hapticd.link.call("get_scene");
@@ -70,7 +70,7 @@ def undo(page: Page, key: str = "Control+z") -> None:
 
 
 def undone(page: Page) -> None:
-    """Undoes a step, and waits until the page says so."""
+    """Undo a step, and wait until the page has undone it."""
     page.evaluate("() => hapticd.undo.undo()")
 
 
@@ -86,12 +86,12 @@ def test_a_dragged_object_moves_by_as_much_and_a_drag_is_one_step_of_undo(scene:
     drag(scene, on_page(scene, begin), on_page(scene, end))
     scene.wait_for_function("() => hapticd.undo.undoable === 'move peg'")
     moved = wait_for(scene, "peg", "(peg, x) => Math.abs(peg.center_m[0] - x) < 1e-3", end[0])
-    # The mouse has whole pixels.
+    # The mouse has integer pixels.
     assert moved["center_m"] == pytest.approx(end, abs=1.5e-3 / a_mm_px)
     assert {**moved, "center_m": begin} == before
     assert scene.evaluate("() => hapticd.scene.selected") == "peg"
     (name,) = [(x, y) for text, x, y in texts(scene) if text.startswith("peg")]
-    assert name[0] == pytest.approx(to_px(scene, moved["center_m"])[0], abs=3)  # the picture shows it there
+    assert name[0] == pytest.approx(to_px(scene, moved["center_m"])[0], abs=3)  # the picture has its name there
 
     undo(scene)
     assert wait_for(scene, "peg", "(peg, x) => peg.center_m[0] === x", begin[0]) == before
@@ -160,7 +160,7 @@ def test_keys_move_turn_and_delete_what_is_selected(scene: Page) -> None:
     assert wait_for(scene, "skin", "(skin) => skin !== undefined") == turned
     scene.wait_for_function("() => 'skin' in hapticd.scene.objects")
     assert any(text.startswith("skin") for text, _, _ in texts(scene))
-    # Two presses of a key are one step where they come within a second.
+    # Two presses of a key within a second are one step.
     for step in ("turn skin", "move skin"):
         while undoable(scene) == step:
             undone(scene)

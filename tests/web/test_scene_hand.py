@@ -1,4 +1,4 @@
-"""Mouse, touch, keyboard and gamepad as the hand: it presses a wall, the wall holds the handle back; it is let go."""
+"""Mouse, touch, keyboard and gamepad as the hand: it presses a wall, which holds the handle back, and is released."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOW = """() => {
   const { scene } = hapticd, { position, contact } = scene.moments.newest;
   return { position, contact, target: scene.hand.target, held: scene.hand.held };
 }"""
-# The same, once nothing moves: every sample of the last tenth of a second is within 0.02 mm of the newest.
+# The same at rest: every sample of the last tenth of a second is within 0.02 mm of the newest.
 PRESSED = f"""() => {{
   const {{ columns, rows, first, capacity }} = hapticd.samples;
   const newest = (rows - 1) % capacity;
@@ -33,7 +33,7 @@ PRESSED = f"""() => {{
   }}
   return columns.contact_y_n[newest] > 0.3 && ({NOW})();
 }}"""
-# Keeps the targets that leave this page, and whether its lease lapsed.
+# Stores the targets that this page sends, and whether its lease lapsed.
 WATCH = """() => {
   globalThis.lapsed = false;
   if (globalThis.targets) {
@@ -56,7 +56,7 @@ IN_THE_AIR = """() => {
   const { position } = hapticd.scene.moments.newest;
   return Math.hypot(position[0] - 0.01, position[1] - 0.02) < 1e-3;
 }"""
-# The force stands out of the zero line of the oscilloscope: its trace, in its colour, is on the canvas well above it.
+# Whether the oscilloscope draws the trace of the force clearly above its zero line.
 TRACE = """() => {
   const { plot } = hapticd.scope, { canvas } = plot;
   const ink = document.createElement("canvas").getContext("2d");
@@ -82,11 +82,11 @@ ATTEMPTS = 6
 
 
 class LeaseLapsed(Exception):
-    """The machine held the page up for longer than its lease: the forces faded, and the hand was let go."""
+    """The machine blocked the page for longer than its lease: the forces faded, and the hand was released."""
 
 
 def undisturbed(test: Callable[..., None]) -> Callable[..., None]:
-    """A test of a page that holds the forces. Where the machine was too busy for the lease it begins again."""
+    """Return a test that begins again if the machine was too busy to renew the page's lease."""
 
     @functools.wraps(test)
     def begun_again(*given: Any, **named: Any) -> None:
@@ -106,7 +106,7 @@ def check_lease(page: Page) -> None:
 
 
 def wait(page: Page, condition: str, given: object = None) -> Any:
-    """What a function of the page says of what is given, once it is true; LeaseLapsed where the lease ended before."""
+    """Return the result of a page's function once it is true. Raises LeaseLapsed if the lease lapses before."""
     found = page.wait_for_function(f"(given) => lapsed ? 'lapsed' : ({condition})(given)", arg=given).json_value()
     if found == "lapsed":
         raise LeaseLapsed
@@ -115,13 +115,13 @@ def wait(page: Page, condition: str, given: object = None) -> Any:
 
 @pytest.fixture(scope="module")
 def scene(_context: Pages) -> Iterator[Page]:
-    """One page for all tests."""
+    """Open one page for all tests."""
     with scene_page(_context, "scope") as opened:
         yield opened
 
 
 def begin(page: Page) -> None:
-    """The hand in the air 20 mm above the floor, and nobody at it; the forces may be on without a lease."""
+    """Put the released hand 20 mm above the floor; the forces may be on without a lease."""
     page.mouse.up()
     page.evaluate("() => { hapticd.scene.hand.releaseAll(); hapticd.scene.fit('objects'); globalThis.stick = [0, 0]; }")
     if page.evaluate("() => hapticd.safety.forces !== 'on' || hapticd.safety.holder === 'another'"):
@@ -134,7 +134,7 @@ def begin(page: Page) -> None:
 
 @contextmanager
 def watching(context: Pages) -> Iterator[Page]:
-    """A second page, beside the one that holds the forces."""
+    """Open a second page, which does not control the forces."""
     with scene_page(context) as other:
         other.wait_for_function("() => hapticd.safety.holder === 'another' || hapticd.safety.forces !== 'on'")
         if other.evaluate("() => hapticd.safety.holder !== 'another'"):
@@ -148,18 +148,18 @@ def hand_stiffness(page: Page) -> float:
 
 
 def resting_y(page: Page, target_y: float) -> float:
-    """Where the handle rests when the hand pulls it that deep into the floor: two springs in series."""
+    """Return y of the resting handle while the hand's target is at `target_y`: two springs in series."""
     hand = hand_stiffness(page)
     return target_y * hand / (hand + WALL)
 
 
 def check_held_at_the_wall(page: Page, target_y: float) -> Any:
-    """The hand pulls the handle into the floor, whose force is stiffness times depth, of one sample."""
+    """Check in one sample that the hand pulls the handle into the floor, whose force is stiffness times depth."""
     now = wait(page, PRESSED)
     assert now["target"][1] == pytest.approx(target_y, abs=0.5e-3)
     assert now["position"][1] == pytest.approx(resting_y(page, now["target"][1]), rel=0.1, abs=0.1e-3)
     assert now["contact"][1] == pytest.approx(-WALL * now["position"][1], rel=0.03)
-    assert now["position"][1] - now["target"][1] > 2 * -now["position"][1]  # held back by far more than it gives way
+    assert now["position"][1] - now["target"][1] > 2 * -now["position"][1]  # the floor gives way much less
     return now
 
 
@@ -171,14 +171,14 @@ def test_a_drag_into_the_floor_is_held_there_with_an_arrow_and_a_trace(scene: Pa
     scene.mouse.down()
     scene.mouse.move(*end, steps=12)
     now = check_held_at_the_wall(scene, -0.008)
-    assert scene.evaluate("() => hapticd.safety.holder") == "this page"  # the press took the forces
+    assert scene.evaluate("() => hapticd.safety.holder") == "this page"  # the press took control of the forces
 
     (x, y), (_, target) = to_px(scene, now["position"]), to_px(scene, now["target"])
     arrow = pixels(scene, "contact", [x - 14, y - 200, x + 14, y - 9])
     per_newton = scene.evaluate("() => hapticd.scene.picture.pxPerN")
     assert y - 9 - arrow["top"] == pytest.approx(now["contact"][1] * per_newton, abs=4)
     ring = pixels(scene, "hand", [x - 16, target - 16, x + 16, target + 16])
-    assert ring["count"] > 30 and ring["bottom"] > y + 9  # the hand is drawn beyond the wall
+    assert ring["count"] > 30 and ring["bottom"] > y + 9  # the hand is drawn inside the wall
     assert pixels(scene, "hand", [x - 2, y + 8, x + 2, target - 10])["count"] > 0  # and the line to it
 
     assert scene.evaluate("() => hapticd.scope.channels.includes('contact_y')")
@@ -195,7 +195,7 @@ def test_a_drag_into_the_floor_is_held_there_with_an_arrow_and_a_trace(scene: Pa
 
 
 @undisturbed
-def test_a_hand_that_is_let_go_stays_and_sends_nothing(scene: Page) -> None:
+def test_a_released_hand_stays_and_sends_nothing(scene: Page) -> None:
     begin(scene)
     scene.mouse.move(*on_page(scene, [0.01, 0.02]))
     scene.mouse.down()
@@ -269,7 +269,7 @@ def test_the_stick_of_a_gamepad_moves_the_hand_and_leaves_it_where_it_is(scene: 
         " const next = () => (++n < 20 ? requestAnimationFrame(next) : done(targets.length)); next(); })"
     )
     assert frames == 0
-    scene.evaluate("() => (stick = [0, 1])")  # down, as the browser has it
+    scene.evaluate("() => (stick = [0, 1])")  # down in the browser's axes
     wait(scene, "() => hapticd.scene.hand.target?.[1] < -0.006")
     scene.evaluate("() => (stick = [0, 0])")
     wait(scene, "() => !hapticd.scene.hand.held")
@@ -314,7 +314,7 @@ def test_a_page_that_watches_does_not_move_the_hand_of_another(scene: Page, _con
 
 
 @undisturbed
-def test_a_stop_lets_the_hand_go_while_it_drags(scene: Page, _context: Pages) -> None:
+def test_a_stop_releases_the_hand_during_a_drag(scene: Page, _context: Pages) -> None:
     begin(scene)
     drag(scene, [0.01, -0.006])
     check_held_at_the_wall(scene, -0.006)

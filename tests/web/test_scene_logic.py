@@ -1,4 +1,4 @@
-"""The scene view's pure parts, called in the browser: transform, surface point, textures, grips, the hand's way."""
+"""Pure modules of the scene view, called in the browser: transform, surface point, textures, grips, hand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ADDRESS = "http://page.invalid"
 
 @pytest.fixture(scope="module")
 def page(browser: Browser) -> Iterator[Page]:
-    """An empty page that has the modules, without a server and a daemon."""
+    """Open an empty page with the modules, without server and daemon."""
 
     def answer(route: Route) -> None:
         path = route.request.url.removeprefix(ADDRESS)
@@ -36,13 +36,13 @@ def page(browser: Browser) -> Iterator[Page]:
 
 
 def call(page: Page, module: str, name: str, *arguments: object) -> Any:
-    """What a function of a module of the scene view answers."""
+    """Return the result of a function of a module of the scene view."""
     script = "async ([module, name, given]) => (await import(`/static/scene_view/${module}.js`))[name](...given)"
     return page.evaluate(script, [module, name, arguments])
 
 
 def run(page: Page, body: str, argument: object = None) -> Any:
-    """What a function body answers that may load modules of the scene view with `load(name)`."""
+    """Return the result of a function body, which may load modules of the scene view with `load(name)`."""
     prefix = "const load = (name) => import(`/static/scene_view/${name}.js`);"
     return page.evaluate(f"async (given) => {{ {prefix} {body} }}", argument)
 
@@ -69,7 +69,7 @@ def test_the_transform_is_to_scale_and_goes_both_ways(page: Page) -> None:
     assert back == pytest.approx([0.003, -0.004])
 
 
-def test_fit_shows_a_rectangle_whole_within_its_margins(page: Page) -> None:
+def test_fit_shows_a_complete_rectangle_within_its_margins(page: Page) -> None:
     corners = run(
         page,
         """const { Transform } = await load("transform");
@@ -140,8 +140,8 @@ def test_what_stands_on_a_wall_is_picked_before_it(page: Page) -> None:
         ([0.021, 0.02], [0.0195, 0.02], 1),  # from the right
         ([0.01, 0.014], [0.01, 0.0155], 2),
         ([-0.001, 0.02], [0.0005, 0.02], 3),
-        ([0.01, 0.05], [0.01, 0.016], 0),  # deep, in one step: it is still the upper face
-        ([0.01, 0.0245], [0.0195, 0.02], 1),  # it was inside: the nearest
+        ([0.01, 0.05], [0.01, 0.016], 0),  # deep in one step: still the upper face
+        ([0.01, 0.0245], [0.0195, 0.02], 1),  # inside before: the nearest face
     ],
 )
 def test_a_box_is_entered_through_a_face(page: Page, before: list[float], now: list[float], face: int) -> None:
@@ -191,7 +191,7 @@ def test_grooves_lie_at_multiples_of_their_spacing(page: Page) -> None:
     assert call(page, "textures", "grooveNumbers", 0.01, 0.011, 0.019) == [2, 1]
 
 
-def test_patches_and_what_lies_between_are_stretches(page: Page) -> None:
+def test_patches_and_what_lies_between_are_sections(page: Page) -> None:
     wall = {
         **WALL,
         "material": "wood",
@@ -200,7 +200,7 @@ def test_patches_and_what_lies_between_are_stretches(page: Page) -> None:
             {"from_m": -0.05, "to_m": -0.02, "material": "grit"},
         ],
     }
-    assert call(page, "shapes", "stretches", wall, -0.03, 0.03) == [
+    assert call(page, "shapes", "sections", wall, -0.03, 0.03) == [
         [-0.03, -0.02, "grit"],
         [-0.02, 0.01, "wood"],
         [0.01, 0.02, "comb"],
@@ -228,7 +228,7 @@ def test_objects_are_moved_turned_and_sized(page: Page) -> None:
 def test_a_stick_within_its_dead_zone_is_at_rest(page: Page) -> None:
     assert call(page, "gamepad", "speedOf", 0.1, -0.1) == [0, 0]
     assert call(page, "gamepad", "speedOf", 1.0, 0.0) == pytest.approx([0.15, 0])
-    up = call(page, "gamepad", "speedOf", 0.0, -0.575)  # half way from the rim of the zone: a quarter of the speed
+    up = call(page, "gamepad", "speedOf", 0.0, -0.575)  # half-way beyond the dead zone: a quarter of the speed
     assert up == pytest.approx([0, 0.15 / 4])
 
 
@@ -262,7 +262,7 @@ def test_the_hand_reaches_out_then_follows_and_counts_its_messages(page: Page) -
 
 
 def test_a_hand_that_is_held_while_the_forces_go_and_come_back_has_a_place(page: Page) -> None:
-    """The moment that allows it is the moment of its first step: no time has passed."""
+    """The hand makes its first step at the moment at which it is allowed, when no time has passed."""
     targets = run(
         page,
         """const { Hand } = await load("hand");
@@ -323,7 +323,7 @@ def test_words_say_position_contact_and_force(page: Page) -> None:
     assert call(page, "description", "words", moment, []).endswith("touching nothing, 0.50 N")
 
 
-def test_the_line_of_figures_goes_on_while_a_screen_reader_waits(page: Page) -> None:
+def test_the_line_of_figures_is_updated_while_a_screen_reader_waits(page: Page) -> None:
     shown, spoken = run(
         page,
         """const { Description } = await load("description");

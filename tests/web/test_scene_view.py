@@ -16,22 +16,22 @@ from tests.web.drawing import live, on_page, pixels, scene_page, show, texts, to
 
 pytestmark = pytest.mark.slow
 
-RIM_PX = 9  # arrows begin at the rim of the handle, and the circle of the limit is larger by as much
-BESIDE_PX = 10  # arrows of one direction lie side by side
-SATURATED = 8  # of the flags of a sample, docs/protocol.md
+RIM_PX = 9  # arrows begin at the rim of the handle; the circle of the limit is larger by this distance
+BESIDE_PX = 10  # distance of arrows with the same direction
+SATURATED = 8  # flag of a sample, docs/protocol.md
 MINUS = "\N{MINUS SIGN}"
 
 
 @pytest.fixture(scope="module")
 def page(_context: Pages) -> Iterator[Page]:
-    """One for all tests. It takes no lease: the forces of the simulated joystick are on from the start."""
+    """Open one page for all tests, without a lease: the simulated joystick's forces are on from the start."""
     with scene_page(_context) as opened:
         yield opened
 
 
 @pytest.fixture
 def scene(page: Page) -> Iterator[Page]:
-    """The page with all objects seen, the hand in the air and every membrane whole."""
+    """Return the page with all objects visible, the hand in the air and all membranes intact."""
     live(page)
     page.evaluate("() => { hapticd.scene.fit('objects'); hapticd.scene.hand.forget(); }")
     page.evaluate("() => hapticd.link.call('reset', { objects: ['skin'] })")
@@ -46,12 +46,12 @@ def scene(page: Page) -> Iterator[Page]:
 
 
 def fit(page: Page, rect: list[float]) -> None:
-    """Shows [left, bottom, right, top] of the plane, in m, whole."""
+    """Show [left, bottom, right, top] of the plane, in m, completely."""
     page.evaluate("(rect) => { hapticd.scene.transform.fit(rect); hapticd.scene.viewed(); }", rect)
 
 
 def newtons_px(page: Page) -> float:
-    """Pixels a newton, by the bar at the lower right."""
+    """Return the pixels per newton of the scale bar at the lower right."""
     height, width = page.evaluate(
         "() => { const { clientHeight: h, clientWidth: w } = hapticd.scene.canvas; return [h, w]; }"
     )
@@ -76,7 +76,7 @@ def test_every_object_is_drawn_at_its_place_to_scale_and_named(scene: Page) -> N
     across = pixels(scene, "text", [x - 80, y - 3, x + 80, y + 3])
     scale = (across["right"] - across["left"]) / width_m
     assert (across["left"] + across["right"]) / 2 == pytest.approx(x, abs=1.5)
-    half = scale * height_m / 2 + 5  # not as far as its name
+    half = scale * height_m / 2 + 5  # without the object's name
     up = pixels(scene, "text", [x - 3, y - half, x + 3, y + half])
     assert up["bottom"] - up["top"] == pytest.approx(height_m * scale, abs=4)
 
@@ -93,7 +93,7 @@ def test_the_bar_and_the_ticks_say_the_length_that_they_have(scene: Page) -> Non
         length_m = float(text.split()[0]) * {"mm": 1e-3, "µm": 1e-6}[text.split()[1]]
         bar = pixels(scene, "text", [x - 60, y + 3, x + 60, y + 12])
         scale = (bar["right"] - bar["left"] - 1) / length_m
-        # The numbers along the lower edge, in mm, are as far apart as the bar says.
+        # The distances of the numbers along the lower edge, in mm, agree with the bar.
         height = scene.evaluate("() => hapticd.scene.canvas.clientHeight")
         ticks = sorted(
             (float(text.replace(MINUS, "-")), x)
@@ -113,8 +113,8 @@ def test_wheel_drag_keys_and_buttons_zoom_and_pan(scene: Page) -> None:
             "() => { const { pxPerM, centre } = hapticd.scene.transform; return [pxPerM, ...centre]; }"
         )
 
-    whole = view()
-    x, y = map(round, on_page(scene, [0.052, 0.01]))  # a wheel's event has whole pixels
+    before = view()
+    x, y = map(round, on_page(scene, [0.052, 0.01]))  # a wheel's event has integer pixels
     block = scene.evaluate(
         "(at) => { const { left, top } = hapticd.scene.canvas.getBoundingClientRect();"
         " return hapticd.scene.transform.toM([at[0] - left, at[1] - top]); }",
@@ -123,7 +123,7 @@ def test_wheel_drag_keys_and_buttons_zoom_and_pan(scene: Page) -> None:
     at = (x, y)
     scene.mouse.move(*at)
     scene.mouse.wheel(0, -400)
-    scene.wait_for_function("(before) => hapticd.scene.transform.pxPerM > 1.5 * before", arg=whole[0])
+    scene.wait_for_function("(before) => hapticd.scene.transform.pxPerM > 1.5 * before", arg=before[0])
     assert on_page(scene, block) == pytest.approx(at, abs=0.01)  # what is under the pointer stays there
 
     scene.keyboard.down("Shift")
@@ -140,7 +140,7 @@ def test_wheel_drag_keys_and_buttons_zoom_and_pan(scene: Page) -> None:
     scene.keyboard.press("-")
     assert view()[0] == pytest.approx(0.8 * scale)
     scene.keyboard.press("0")
-    assert view() == pytest.approx(whole, rel=0.02, abs=0.002)
+    assert view() == pytest.approx(before, rel=0.02, abs=0.002)
     scene.get_by_role("button", name="Show the complete workspace").click()
     size = scene.evaluate("() => [hapticd.scene.canvas.clientWidth, hapticd.scene.canvas.clientHeight]")
     for corner in ([-0.075, -0.075], [0.075, 0.075]):  # the travel of the simulated joystick
@@ -171,8 +171,8 @@ def test_arrows_of_contact_vibration_and_sum_are_as_long_as_the_bar_says(scene: 
     assert x - RIM_PX - left["left"] == pytest.approx(4.5 * scale, abs=4)
 
 
-def test_the_limit_is_a_circle_that_turns_red_and_whole_where_the_force_is_limited(scene: Page) -> None:
-    # In the middle, where the circle's upper half is seen whole.
+def test_the_limit_is_a_circle_that_turns_red_and_solid_when_the_force_is_limited(scene: Page) -> None:
+    # In the middle the circle's upper half is completely visible.
     handle = scene.evaluate(
         "() => { const { transform: t } = hapticd.scene; return t.toM([t.width / 2, t.height / 2]); }"
     )
@@ -180,12 +180,12 @@ def test_the_limit_is_a_circle_that_turns_red_and_whole_where_the_force_is_limit
     assert f"Limit {limit:g} N" in scene.locator(".scene-legend").inner_text()
 
     def on_circle(colour: str) -> float:
-        """The part of 40 places on the circle's upper half that have the colour."""
+        """Return the fraction of 40 points on the circle's upper half that have the colour."""
         x, y = to_px(scene, handle)
         radius = limit * newtons_px(scene) + RIM_PX
         around = [math.pi * (k + 0.5) / 40 for k in range(40)]
         places = [(x + radius * math.cos(angle), y - radius * math.sin(angle)) for angle in around]
-        within = 90 if colour == "muted" else 40  # that line is a pixel wide and dashed
+        within = 90 if colour == "muted" else 40  # this line is one pixel wide and dashed
         found = [pixels(scene, colour, [a - 2, b - 2, a + 2, b + 2], within)["count"] for a, b in places]
         return sum(count > 0 for count in found) / 40
 
@@ -224,7 +224,7 @@ def test_contacts_and_grooves_are_marked_where_they_happen(scene: Page) -> None:
     contact = next(mark for mark in marks if mark["kind"] == "contact")
     assert contact["point"] == pytest.approx([-0.036, 0], abs=0.002)
     for mark in marks:
-        assert mark["drawn"] == 1 and abs(mark["point"][1]) < 1e-6  # on the floor, not where the handle is in it
+        assert mark["drawn"] == 1 and abs(mark["point"][1]) < 1e-6  # on the floor, not at the handle inside it
     grooves = [mark["point"][0] for mark in marks if mark["kind"] == "groove"]
     spacing = 0.002
     off = sorted(abs(x - spacing * round(x / spacing)) for x in grooves)
@@ -238,7 +238,7 @@ def test_a_mark_has_the_colour_of_its_kind_and_fades(scene: Page) -> None:
     for kind in ("contact", "groove", "rupture"):
         assert pixels(scene, kind, around)["count"] == 0
         scene.evaluate("(kind) => hapticd.scene.contacts.marks.add(kind, [0.02, 0.03], performance.now())", kind)
-        # Before it fades: a machine that is slow draws it again.
+        # Before the mark fades; a slow machine repeats the mark.
         found = 0.0
         for _ in range(20):
             found = pixels(scene, kind, around)["count"]
@@ -253,7 +253,7 @@ def test_a_touched_membrane_bends_to_the_handle(scene: Page) -> None:
     fit(scene, [-0.025, 0.02, 0.025, 0.045])
     away = {"position_m": [0.0, 0.022]}
     x, straight = to_px(scene, [-0.0075, 0.035])
-    _, bent = to_px(scene, [-0.0075, 0.033])  # half way between the end, at 35 mm, and the handle, at 31 mm
+    _, bent = to_px(scene, [-0.0075, 0.033])  # half-way between the end, at 35 mm, and the handle, at 31 mm
 
     def skin() -> float:
         line = pixels(scene, "text", [x - 2, straight - 40, x + 2, straight + 60])
@@ -266,14 +266,14 @@ def test_a_touched_membrane_bends_to_the_handle(scene: Page) -> None:
     assert skin() == pytest.approx(bent, abs=2)
 
 
-def test_a_membrane_that_is_pushed_too_far_is_torn_until_it_is_healed(scene: Page) -> None:
+def test_a_membrane_that_is_pushed_too_far_stays_ruptured_until_it_is_healed(scene: Page) -> None:
     rupture = shipped_materials()["cellophane"].rupture
     assert rupture is not None
     scene.evaluate(WATCH_MARKS)
-    around = [[0.3, 0.03, 0.02], [0.6, 0.03, 0.05], [0.9, 0.003, 0.05]]  # above it, and not through it
+    around = [[0.3, 0.03, 0.02], [0.6, 0.03, 0.05], [0.9, 0.003, 0.05]]  # above the membrane, not through it
     push = [[0.8, 0.003, 0.015]]
     heal = scene.get_by_role("button", name="Heal membranes")
-    for _ in range(2):  # torn a second time after it was healed: it is whole again at the daemon, too
+    for _ in range(2):  # ruptures again after healing, so the daemon has healed it, too
         scene.evaluate("() => (marked.length = 0)")
         scene.evaluate("(waypoints) => hapticd.link.call('set_operator', { waypoints })", around)
         scene.wait_for_function(ABOVE)
@@ -282,7 +282,7 @@ def test_a_membrane_that_is_pushed_too_far_is_torn_until_it_is_healed(scene: Pag
         scene.wait_for_function("() => marked.some(({ kind }) => kind === 'rupture')")
         assert scene.evaluate("() => hapticd.scene.contacts.punctures.ids") == ["skin"]
         torn = next(mark for mark in scene.evaluate("() => marked") if mark["kind"] == "rupture")
-        # It breaks where it is pushed in as deep as its material stands, or a little later.
+        # The membrane ruptures at the depth of its material, or a little later.
         assert torn["point"][0] == pytest.approx(0.003, abs=0.002)
         assert 0.9 * rupture.depth_m < 0.035 - torn["point"][1] < 0.02
         scene.wait_for_function("() => hapticd.scene.contacts.marks.seen(performance.now()).length === 0")

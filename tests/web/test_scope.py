@@ -1,4 +1,4 @@
-"""The oscilloscope on the page of `hapticd web --demo`: taps are caught and measured, files load again, keys do all."""
+"""The oscilloscope of `hapticd web --demo`: taps are caught and measured, files can be read, keys control all."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ pytestmark = pytest.mark.slow
 TAPS = {name: material.tap for name, material in shipped_materials().items() if material.tap is not None}
 MINUS = "\N{MINUS SIGN}"
 TRIES = 20
-WHOLE = """() => {
+COMPLETE = """() => {
   const { columns, capacity } = hapticd.samples, { row } = hapticd.scope.acquisition.shown;
   const times = Array.from({ length: 310 }, (_, k) => columns.time_s[(row - 10 + k) % capacity]);
   return times.slice(1).every((time, k) => time - times[k] < 1.5e-4);
 }"""
-"""No period was missed from 1 ms before the contact to 30 ms after it, at 10 kHz."""
+"""Script: whether no period was missed from 1 ms before the contact to 30 ms after it, at 10 kHz."""
 TAP = {"kind": "tap", "object": "floor", "at_m": 0.0, "speed_m_per_s": 0.2}
 
 
 @pytest.fixture
 def scope(page: Page) -> Iterator[Page]:
-    """With forces on, which a space in a test before may have stopped."""
+    """Return a page with forces on; a space in an earlier test may have stopped them."""
     page.wait_for_function("() => hapticd.samples.rows > 100 && hapticd.safety.holder === null")
     assert page.evaluate("() => hapticd.safety.engage()")
     yield page
 
 
 def tap(page: Page, material: str = "wood") -> Any:
-    """What the page says of a tap that it caught on this material.
+    """Return the page's measurement of a tap on this material.
 
-    Tapped again where the servo missed a period, or where the contact was another one than the tap's: a handle that is
-    let go falls onto the floor as well, without a vibration to speak of.
+    The tap is repeated if the servo missed a period or another contact came first: a released handle also falls onto
+    the floor, almost without vibration.
     """
     caught = []
     for _ in range(TRIES):
         found = tap_once(page, material)
-        whole, event = page.evaluate(WHOLE), page.evaluate("() => hapticd.scope.acquisition.shown.event")
-        if whole and event["scale"] > 0.5 and event["speed_m_per_s"] == pytest.approx(TAP["speed_m_per_s"], rel=0.2):
+        complete, event = page.evaluate(COMPLETE), page.evaluate("() => hapticd.scope.acquisition.shown.event")
+        if complete and event["scale"] > 0.5 and event["speed_m_per_s"] == pytest.approx(TAP["speed_m_per_s"], rel=0.2):
             return found
-        caught.append((whole, event["scale"], event["speed_m_per_s"]))
+        caught.append((complete, event["scale"], event["speed_m_per_s"]))
     raise AssertionError(f"{TRIES} taps: no period missed, scale, m/s of each: {caught}")
 
 
@@ -248,14 +248,14 @@ def test_what_is_shown_is_saved_as_csv_and_png(scope: Page, tmp_path: Path) -> N
 
 
 def test_the_spectrum_of_a_tap_and_the_lateness_are_said(scope: Page) -> None:
-    tap(scope, "steel")  # which shows the traces
+    tap(scope, "steel")  # this shows the traces
     scope.locator("#scope").get_by_role("button", name="Spectrum").click()
     scope.wait_for_function("() => hapticd.scope.spectrum.result !== null")
-    assert "resolution" in scope.locator(".scope-said").inner_text()
+    assert "resolution" in scope.locator(".scope-message").inner_text()
     assert scope.evaluate("() => hapticd.scope.spectrum.result.peakHz") == pytest.approx(1682, rel=0.1)
     scope.locator("#scope").get_by_role("button", name="Lateness").click()
-    scope.wait_for_function("() => document.querySelector('.scope-said').textContent.includes('p99')")
-    assert "since the daemon started" in scope.locator(".scope-said").inner_text()
+    scope.wait_for_function("() => document.querySelector('.scope-message').textContent.includes('p99')")
+    assert "since the daemon started" in scope.locator(".scope-message").inner_text()
 
 
 ROWS = """() => {
@@ -299,7 +299,7 @@ def test_the_toolbar_takes_two_rows_at_most_and_more_opens_the_rest_by_keyboard(
     assert more.is_hidden()
     button.click()
     scope.locator("#scope").get_by_role("button", name="Hold").click()
-    assert more.is_hidden()  # it does not stand in the way of what is used instead
+    assert more.is_hidden()  # the box closes when another control is used
     button.click()
     more.get_by_label("Trigger", exact=True).press("Escape")
     assert more.is_hidden() and button.get_attribute("aria-expanded") == "false"

@@ -1,4 +1,4 @@
-"""What the oscilloscope computes: its modules, imported in a browser without a daemon, with samples made here."""
+"""The computations of the oscilloscope: its modules, imported in a browser without a daemon, with made-up samples."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hapticd.web.application import STATIC_FOLDER
 pytestmark = pytest.mark.slow
 
 ORIGIN = "http://page.test"
-# A store with the interface of samples.js, in which a test can put what it likes.
+# A store with the interface of samples.js, which tests fill.
 STORE = """
 const NAMES = ["x_m", "y_m", "vx_m_per_s", "vy_m_per_s", "contact_x_n", "contact_y_n", "vibration_x_n", "vibration_y_n",
                "force_x_n", "force_y_n"];
@@ -54,7 +54,7 @@ TYPES = {".js": "text/javascript", ".mjs": "text/javascript", ".css": "text/css"
 
 @pytest.fixture(scope="module")
 def modules(browser: Browser) -> Iterator[Page]:
-    """An empty page of an origin that serves the static files, and nothing else."""
+    """Open an empty page of an origin that serves only the static files."""
 
     def answer(route: Route) -> None:
         path = route.request.url.removeprefix(ORIGIN)
@@ -75,7 +75,7 @@ def modules(browser: Browser) -> Iterator[Page]:
 
 
 def run(page: Page, names: str, body: str, argument: object = None) -> Any:
-    """`body` in a function that has `names`, as `name, name from file; ...`, and the argument `given`."""
+    """Run `body` in a function with the imports `names`, as `name, name from file; ...`, and the argument `given`."""
     imports = ""
     for entry in names.split(";"):
         what, _, file = entry.strip().rpartition(" from ")
@@ -175,7 +175,7 @@ def test_missed_periods_and_lost_samples_are_gaps(modules: Page) -> None:
 
 
 def shaded(page: Page, store: str, left: float, width: float) -> list[int]:
-    """The columns of pixels, of 10 ms each, that are shaded as missed or lost in a window of this store."""
+    """Return the columns of pixels, 10 ms each, that are shaded as missed or lost in a window of this store."""
     return list(
         run(
             page,
@@ -195,7 +195,7 @@ def test_time_before_the_first_sample_is_not_shaded(modules: Page) -> None:
     # Samples from 3.0 s on. A period was missed at 3.005 s, within the first column that has samples.
     store = "new Store(100000).add(flat(50), { skip: 30000 }).add(flat(9949), { skip: 1 })"
     assert shaded(modules, store, 0.0, 4.0) == [300]
-    # The ring has forgotten all before 3.0 s, also the gap that it began with.
+    # The ring has no samples before 3.0 s any more, nor the gap at its beginning.
     forgotten = "new Store(1000).add(flat(29000)).add(flat(1000), { lost: 1000 })"
     assert shaded(modules, forgotten, 2.0, 2.0) == []
 
@@ -205,10 +205,10 @@ def test_what_was_left_out_on_purpose_is_not_shaded_and_what_was_lost_is(modules
     assert shaded(modules, pause, 0.0, 0.5) == []
     lost = "new Store(100000).add(flat(1000)).add(flat(1000), { lost: 3000 })"
     assert shaded(modules, lost, 0.0, 0.5) == list(range(10, 41))
-    assert shaded(modules, lost, 0.15, 0.1) == list(range(10))  # a window within the hole
+    assert shaded(modules, lost, 0.15, 0.1) == list(range(10))  # a window within the gap
 
 
-def test_a_slower_servo_and_a_restarted_one_are_no_gaps_for_ever(modules: Page) -> None:
+def test_a_slower_or_restarted_servo_causes_no_lasting_gaps(modules: Page) -> None:
     found = run(
         modules,
         "Store, flat from store; Source from source",
@@ -312,7 +312,7 @@ def test_a_level_is_passed_once_for_each_swing_beyond_the_hysteresis(modules: Pa
     assert falling == pytest.approx([3 + 0.12 / 0.14, 8 + 0.4 / 1.9])
 
 
-def test_single_holds_and_auto_goes_on_without_triggers(modules: Page) -> None:
+def test_single_holds_and_auto_continues_without_triggers(modules: Page) -> None:
     found = run(
         modules,
         TRIGGER,
@@ -373,7 +373,7 @@ def test_a_single_mode_is_found_exactly(modules: Page, name: str, rate_hz: float
     assert found["modes"][0]["decayPerS"] == pytest.approx(1 / tap.decay_time_s, rel=1e-8)
 
 
-def test_modes_that_ring_together_are_told_apart(modules: Page) -> None:
+def test_modes_that_ring_together_are_separated(modules: Page) -> None:
     samples = ringing(67, 0.00648, 1e4, 324) + 0.5 * ringing(400, 0.003, 1e4, 324) + 0.2 * ringing(230, 0.01, 1e4, 324)
     found = fit(modules, samples, 1e4)
     assert [mode["frequencyHz"] for mode in found["modes"]] == pytest.approx([67, 400, 230], rel=1e-6)
@@ -438,13 +438,13 @@ def test_a_first_peak_is_as_high_as_the_event_says(modules: Page) -> None:
     assert max(model(modules, tap, times=times)["values"]) == pytest.approx(0.05 * 60 * 0.5, rel=1e-6)
 
 
-def test_what_is_lowered_keeps_its_peak_and_what_is_silent_is_told(modules: Page) -> None:
+def test_a_lowered_tap_keeps_its_peak_and_a_silent_tap_is_reported(modules: Page) -> None:
     times = np.linspace(0, 0.002, 20001).tolist()
     tap = {"attack": "coefficient", "frequency_hz": 1682, "decay_time_s": 0.00032}
     lowered = [{"material": "it", "mode": "tap", "frequency_hz": 1682, "shown_hz": 400.0}]
-    whole, low = model(modules, tap, times=times), model(modules, tap, lowered, times)
+    full, low = model(modules, tap, times=times), model(modules, tap, lowered, times)
     assert low["modes"][0]["frequencyHz"] == 400 and low["meantHz"] == 1682
-    assert max(low["values"]) == pytest.approx(max(whole["values"]), rel=1e-4)
+    assert max(low["values"]) == pytest.approx(max(full["values"]), rel=1e-4)
     assert "silent" in model(modules, tap, [{**lowered[0], "shown_hz": None}])["problem"]
     assert "no tap" in model(modules, None)["problem"]
     assert "waveform" in model(modules, {"waveform": {"rate_hz": 1000, "samples": [0, 1, 0]}})["problem"]
@@ -561,7 +561,7 @@ def test_the_spectrum_of_a_tap_between_gaps_is_the_tap_s_and_says_over_how_long_
 
 @pytest.mark.parametrize("before", [10, 50, 200])
 def test_the_peak_of_a_short_tap_is_the_tap_s_wherever_it_lies_in_the_window(modules: Page, before: int) -> None:
-    # Steel's, 80 ms: where the window is small, the hump of a mean that is taken off would be higher than the tap.
+    # Steel, 80 ms: after subtraction of a plain mean, the hump at the window's ends would be higher than the tap.
     samples = np.concatenate([np.zeros(before), ringing(1682.0, 0.00032, 1e4, 800 - before)])
     body = "return spectrum(Float64Array.from(given), 1e4).peakHz;"
     assert run(modules, SPECTRUM, body, samples.tolist()) == pytest.approx(1682, rel=0.1)
@@ -593,7 +593,7 @@ def test_numpy_finds_the_very_samples_in_a_csv(modules: Page, tmp_path: Path) ->
         modules,
         "Store from store; Source from source; snapshot, csvParts, pause from export",
         """
-        const store = new Store(10000);  // smaller than what came: the oldest rows are gone
+        const store = new Store(10000);  // smaller than the number of samples: the oldest rows are removed
         store.add(given.map(([x, y]) => ({ x_m: x, vibration_y_n: y })));
         const source = new Source(store);
         source.update();

@@ -1,4 +1,4 @@
-"""The sound of the page: the right frequency at each pitch, a buffer that two clocks do not empty, never a NaN."""
+"""The sound of the page: the right frequency at each pitch, a buffer that survives two clocks, and no NaN."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MODE_HZ = 240.0
 OUT_HZ = 48_000
 STRIKES = 20
 
-# A strike as the page has it: what comes of `play`, as pairs of numbers.
+# Plays a strike, and returns its samples on the page as pairs of numbers.
 STRUCK = """async (frequency_hz) => {
   const { link, samples } = hapticd;
   const mode = { frequency_hz, decay_time_s: 0.25 };
@@ -39,7 +39,7 @@ STRUCK = """async (frequency_hz) => {
   return { pairs, rate, times_s };
 }"""
 
-# The worklet in an OfflineAudioContext, fed as the page feeds it: 20 ms at a time, when their time has come.
+# Runs the worklet in an OfflineAudioContext, which gets 20 ms of samples at a time, as on the page.
 RENDERED = """async ({ pairs, rate, settings, out }) => {
   const seconds = pairs.length / 2 / rate;
   const context = new OfflineAudioContext(2, Math.ceil(seconds * out), out);
@@ -66,7 +66,7 @@ RENDERED = """async ({ pairs, rate, settings, out }) => {
 
 
 def peak_hz(signal: np.ndarray[Any, Any], rate: float) -> float:
-    """Of its spectrum, between bins by a parabola."""
+    """Return the frequency of the spectrum's peak in Hz, interpolated between bins by a parabola."""
     size = 8 * len(signal)
     spectrum = np.abs(np.fft.rfft(signal * np.hanning(len(signal)), size))
     spectrum[: int(20 * size / rate)] = 0
@@ -77,14 +77,14 @@ def peak_hz(signal: np.ndarray[Any, Any], rate: float) -> float:
 
 @pytest.fixture(scope="module")
 def demo(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
-    """At 2 kHz: a user without real-time rights misses fewer periods, and those that are missed are no fault."""
+    """Run a demo at 2 kHz, where fewer periods are missed without real-time rights; missed periods are not a fault."""
     servo = {"rate_hz": 2000, "overruns": {"threshold": 1.0}}
     with running_demo(tmp_path_factory.mktemp("web"), servo=servo) as running:
         yield running
 
 
 def strike(page: Page) -> dict[str, Any]:
-    """What the page gets of a strike, without a missed period: where one was missed it is struck again."""
+    """Return the page's samples of a strike without a missed period, repeated if a period was missed."""
     for _ in range(STRIKES):
         found: dict[str, Any] = page.evaluate(STRUCK, MODE_HZ)
         steps = np.diff(found.pop("times_s")) * found["rate"]
@@ -95,7 +95,7 @@ def strike(page: Page) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def struck() -> dict[str, Any]:
-    """What was struck once is used by all tests of this file."""
+    """Return a cache: all tests of this file use the same strike."""
     return {}
 
 
@@ -109,14 +109,14 @@ def test_the_spectrum_of_what_is_heard_has_its_peak_at_the_struck_mode(
     heard = page.evaluate(RENDERED, {**struck, "settings": settings, "out": OUT_HZ})
     left, right = np.array(heard["left"]), np.array(heard["right"])
     assert np.isfinite(left).all() and np.isfinite(right).all()
-    for channel, weight in ((left, 1.4), (right, 0.2)):  # x + y and y - x of the direction
+    for channel, weight in ((left, 1.4), (right, 0.2)):  # x + y and y - x of the direction [0.6, 0.8]
         assert peak_hz(channel, OUT_HZ) == pytest.approx(pitch * MODE_HZ, rel=0.02)
         force = np.array(struck["pairs"]).reshape(-1, 2) @ [0.6, 0.8]
         assert np.abs(channel).max() == pytest.approx(np.abs(force).max() * weight / 3, rel=0.1)
     assert all(report["gaps"] == report["skips"] == report["nonfinite"] == 0 for report in heard["reports"])
 
 
-def test_what_is_no_number_and_what_is_too_loud_never_reaches_the_ear(page: Page) -> None:
+def test_nan_and_too_loud_values_are_never_played(page: Page) -> None:
     flat: list[float | str] = [0.0] * 2000 + [1e30, -1e30] * 1000 + [0.0] * 4000
     for place in range(4000, 6000, 7):
         flat[place] = ("nan", "inf", "-inf")[place % 3]
@@ -130,7 +130,7 @@ def test_what_is_no_number_and_what_is_too_loud_never_reaches_the_ear(page: Page
     assert heard["reports"][-1]["nonfinite"] > 100
 
 
-# A minute of two clocks that differ, without waiting for it: the buffer and its reader alone.
+# Simulates a minute of two different clocks with only the buffer and its reader.
 MINUTE = """async ({ ppm, seconds }) => {
   const { SampleBuffer } = await import("/static/sound_buffer.js");
   const [rate, out] = [10000, 48000];
@@ -157,13 +157,13 @@ MINUTE = """async ({ ppm, seconds }) => {
 def test_the_buffer_is_held_where_two_clocks_differ(page: Page, ppm: int) -> None:
     found = page.evaluate(MINUTE, {"ppm": ppm, "seconds": 60})
     assert found["gaps"] == found["skips"] == 0
-    # A batch of 20 ms goes through it all the time.
+    # The fill varies by a batch of 20 ms.
     assert 0.01 < found["least"] < found["most"] < 0.08
     assert abs(found["correction"]) <= 0.005
     assert found["correction"] * 1e6 == pytest.approx(ppm, abs=150)
 
 
-def test_a_page_that_is_held_up_makes_a_gap_that_is_counted_and_goes_on(page: Page) -> None:
+def test_a_blocked_page_causes_a_counted_gap_and_continues(page: Page) -> None:
     found = page.evaluate("""async () => {
       const { SampleBuffer } = await import("/static/sound_buffer.js");
       const buffer = new SampleBuffer(10000);
@@ -220,5 +220,5 @@ def test_the_panel_starts_the_sound_by_a_press_and_shows_what_is_heard(page: Pag
     page.reload()
     page.wait_for_function("() => document.body.dataset.ready === 'true'")
     assert page.evaluate("() => hapticd.sound.settings.pitch") == 4
-    assert page.evaluate("() => hapticd.sound.running") is False  # not without another press
+    assert page.evaluate("() => hapticd.sound.running") is False  # it needs another press
     page.evaluate("() => localStorage.clear()")

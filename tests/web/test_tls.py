@@ -1,4 +1,4 @@
-"""`hapticd web` for other machines, as docs/web.md says: from password and TLS to telemetry, and who is refused."""
+"""`hapticd web` for other machines, as in docs/web.md: from password and TLS to telemetry, and refused requests."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Files(NamedTuple):
-    """What an operator makes."""
+    """Paths of certificate, key and password file."""
 
     cert: Path
     key: Path
@@ -51,7 +51,7 @@ class Files(NamedTuple):
 
 
 def made(folder: Path, *names: str) -> Files:
-    """A certificate for these names by openssl, and a password by `hapticd web --set-password`."""
+    """Make a certificate for these names with openssl, and a password file with `hapticd web --set-password`."""
     files = Files(folder / "cert.pem", folder / "key.pem", folder / "password")
     subprocess.run(
         [
@@ -82,7 +82,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
 
 @pytest.fixture(scope="module")
 def web(files: Files, daemon: Daemon, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
-    """On all addresses of this machine, for clients that know it as NAME."""
+    """Run `hapticd web` on all addresses of this machine, for clients that use the name NAME."""
     folder = tmp_path_factory.mktemp("web")
     place = ("--runtime-dir", str(daemon.directory))
     with running(folder, "--host", "0.0.0.0", *files.options, before=place) as web:
@@ -92,7 +92,7 @@ def web(files: Files, daemon: Daemon, tmp_path_factory: pytest.TempPathFactory) 
 
 @pytest.fixture(scope="module")
 def cookie(web: Web, files: Files) -> dict[str, str]:
-    """Of a browser that was let in, as a header. One for all tests: only so many passwords are tried."""
+    """Return the cookie header of a browser with access, one for all tests because tries of passwords are limited."""
 
     async def test() -> str:
         async with session(files.cert, Here()) as browser:
@@ -104,7 +104,7 @@ def cookie(web: Web, files: Files) -> dict[str, str]:
 
 
 class Here(AbstractResolver):
-    """Each name is this machine."""
+    """Resolves every name to this machine."""
 
     async def resolve(
         self, host: str, port: int = 0, family: socket.AddressFamily = socket.AF_INET
@@ -117,7 +117,7 @@ class Here(AbstractResolver):
 
 @asynccontextmanager
 async def session(cert: Path, resolver: AbstractResolver | None = None) -> AsyncIterator[aiohttp.ClientSession]:
-    """A browser that trusts this certificate and no other; afterwards each of its connections has ended, TLS too."""
+    """Yield a browser that trusts only this certificate; afterwards all its TLS connections have ended."""
     opened: list[socket.socket] = []
 
     def new_socket(found: AddrInfoType) -> socket.socket:
@@ -132,7 +132,7 @@ async def session(cert: Path, resolver: AbstractResolver | None = None) -> Async
 
 
 async def log_in(browser: aiohttp.ClientSession, origin: str, password: str) -> tuple[int, str, str]:
-    """Status, text and cookie of the answer."""
+    """Send the login form, and return status, text and cookie of the answer."""
     given = {"data": {"password": password}, "headers": {"Origin": origin}, "allow_redirects": False}
     async with browser.post(f"{origin}/login", **given) as response:  # type: ignore[arg-type]
         return response.status, await response.text(), response.headers.get("Set-Cookie", "")
@@ -143,7 +143,7 @@ def dtype(batch: dict[str, Any]) -> np.dtype[np.void]:
 
 
 async def visited(browser: aiohttp.ClientSession, origin: str) -> dict[str, Any]:
-    """What a person meets: the form, a wrong password, the right one, the page, its socket, telemetry."""
+    """Visit as a user: the form, a wrong password, the right one, the page, its socket, telemetry."""
     found: dict[str, Any] = {}
     async with browser.get(origin) as response:
         found["at first"] = response.status, response.url.path, "Password" in await response.text()
@@ -214,7 +214,7 @@ def test_without_tls_nothing_is_answered(web: Web) -> None:
 
 
 @pytest.mark.parametrize(
-    ("headers", "told"),
+    ("headers", "problem"),
     [
         ({"Host": "evil.example"}, "Host: this address is not served here\n"),
         ({"Host": "127.0.0.1"}, "Host: this address is not served here\n"),
@@ -225,9 +225,9 @@ def test_without_tls_nothing_is_answered(web: Web) -> None:
     ids=["foreign host", "number instead of the name", "foreign origin", "origin without TLS", "no origin"],
 )
 def test_host_and_origin_of_the_upgrade(
-    web: Web, files: Files, cookie: dict[str, str], headers: dict[str, str], told: str
+    web: Web, files: Files, cookie: dict[str, str], headers: dict[str, str], problem: str
 ) -> None:
-    """The browser has been let in: it is refused all the same, in one line."""
+    """A request with another Host or Origin is refused in one line even if the browser has access."""
 
     async def test() -> tuple[int, str]:
         port = origin_of(web).rpartition(":")[2]
@@ -238,11 +238,11 @@ def test_host_and_origin_of_the_upgrade(
         ):
             return response.status, await response.text()
 
-    assert asyncio.run(test()) == (403, told)
+    assert asyncio.run(test()) == (403, problem)
 
 
 def test_a_certificate_that_the_client_does_not_trust(web: Web, tmp_path: Path) -> None:
-    """Another certificate of the same name: who stands between client and server is noticed."""
+    """The client refuses another certificate of the same name, so an attacker in between is noticed."""
     other = made(tmp_path, f"DNS:{NAME}")
 
     async def test() -> None:
@@ -253,7 +253,7 @@ def test_a_certificate_that_the_client_does_not_trust(web: Web, tmp_path: Path) 
     asyncio.run(test())
 
 
-def test_what_is_missing_is_said_in_one_line(
+def test_missing_options_are_reported_in_one_line(
     files: Files, daemon: Daemon, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     words = ("--runtime-dir", str(daemon.directory), "web", "--port", "0", "--host", "0.0.0.0")
@@ -266,12 +266,12 @@ def test_what_is_missing_is_said_in_one_line(
         begin = "hapticd: --host 0.0.0.0: other machines can reach this address, so TLS and a password are needed: "
         assert refusal(capfd, *words, *given) == f"{begin}{missing}\n"
     nowhere = str(tmp_path / "nowhere")
-    told = refusal(capfd, *words, *cert, *key, "--password-file", nowhere)
-    assert told == f"hapticd: {nowhere}: cannot be read: No such file or directory\n"
+    problem = refusal(capfd, *words, *cert, *key, "--password-file", nowhere)
+    assert problem == f"hapticd: {nowhere}: cannot be read: No such file or directory\n"
 
 
 def test_from_another_network_namespace(daemon: Daemon, tmp_path: Path) -> None:
-    """As from another machine: over an interface that is not the loopback, to the address in the certificate."""
+    """Connect as from another machine: not over the loopback, to the address in the certificate."""
     try:
         with network_namespace() as elsewhere:
             files = made(tmp_path, f"IP:{elsewhere.here}")

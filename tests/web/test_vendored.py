@@ -1,4 +1,4 @@
-"""Packages of others are in the tree unchanged, and their licences go with them."""
+"""Packages from npm are included unchanged, with their licences."""
 
 from __future__ import annotations
 

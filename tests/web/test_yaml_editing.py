@@ -1,4 +1,4 @@
-"""A YAML text changed in place: what differs is written anew, everything else stays byte for byte."""
+"""Changing a YAML text in place: only values that differ are replaced, everything else stays byte for byte."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ scene:
 
 
 def change(make: Callable[[Any], None], text: str = TEXT) -> tuple[list[str], list[str]]:
-    """The lines that went and those that came."""
+    """Return the removed and the added lines."""
     data = copy.deepcopy(load_text(text, "").data)
     assert isinstance(data, dict)
     make(data)
@@ -53,20 +53,20 @@ def test_a_number_changes_and_its_comment_and_spaces_stay() -> None:
 
 
 def test_a_member_of_a_mapping_on_one_line() -> None:
-    gone, come = change(lambda data: data["scene"]["objects"]["floor"].update(material="glass", normal=[0, 1]))
-    assert gone == ["            material: wood}                # what of"]
-    assert come == ["            material: glass, normal: [0, 1]}                # what of"]
+    removed, added = change(lambda data: data["scene"]["objects"]["floor"].update(material="glass", normal=[0, 1]))
+    assert removed == ["            material: wood}                # what of"]
+    assert added == ["            material: glass, normal: [0, 1]}                # what of"]
 
 
 def test_an_object_that_is_added_stands_behind_the_others() -> None:
-    gone, come = change(lambda data: data["scene"]["objects"].update(peg={"kind": "disc", "radius_m": 0.005}))
-    assert (gone, come) == ([], ["    peg: {kind: disc, radius_m: 0.005}"])
+    removed, added = change(lambda data: data["scene"]["objects"].update(peg={"kind": "disc", "radius_m": 0.005}))
+    assert (removed, added) == ([], ["    peg: {kind: disc, radius_m: 0.005}"])
 
 
 def test_an_object_that_is_taken_away_takes_its_lines_along() -> None:
-    gone, come = change(lambda data: data["scene"]["objects"].pop("side"))
-    assert come == []
-    assert gone[0] == "    side:" and gone[-1].endswith("# right")
+    removed, added = change(lambda data: data["scene"]["objects"].pop("side"))
+    assert added == []
+    assert removed[0] == "    side:" and removed[-1].endswith("# right")
 
 
 def test_patches_are_added_and_taken_away_at_the_end() -> None:
@@ -74,15 +74,15 @@ def test_patches_are_added_and_taken_away_at_the_end() -> None:
         found: list[Any] = data["scene"]["objects"]["side"]["patches"]
         return found
 
-    gone, come = change(lambda data: patches(data).append({"from_m": 0.01, "to_m": 0.02, "material": "steel"}))
-    assert (gone, come) == ([], ["        - {from_m: 0.01, to_m: 0.02, material: steel}"])
-    gone, come = change(lambda data: patches(data).pop())
-    assert (gone, come) == (['        - {from_m: 0, to_m: 0.01, material: "glass"}  # right'], [])
+    removed, added = change(lambda data: patches(data).append({"from_m": 0.01, "to_m": 0.02, "material": "steel"}))
+    assert (removed, added) == ([], ["        - {from_m: 0.01, to_m: 0.02, material: steel}"])
+    removed, added = change(lambda data: patches(data).pop())
+    assert (removed, added) == (['        - {from_m: 0, to_m: 0.01, material: "glass"}  # right'], [])
 
 
 def test_a_section_that_is_added_stands_at_the_end() -> None:
-    gone, come = change(lambda data: data.update(materials={"wood": {"stiffness_n_per_m": 900}}))
-    assert (gone, come) == ([], ["materials:", "  wood: {stiffness_n_per_m: 900}"])
+    removed, added = change(lambda data: data.update(materials={"wood": {"stiffness_n_per_m": 900}}))
+    assert (removed, added) == ([], ["materials:", "  wood: {stiffness_n_per_m: 900}"])
 
 
 def test_nothing_changed_is_nothing_written() -> None:
@@ -153,8 +153,8 @@ def test_a_number_of_a_shipped_file_changes_one_line(file: str) -> None:
                 return True
         return False
 
-    gone, come = change(lambda data: assert_(first_number(data)), text)
-    assert len(gone) == len(come) == 1
+    removed, added = change(lambda data: assert_(first_number(data)), text)
+    assert len(removed) == len(added) == 1
 
 
 def assert_(found: bool) -> None:

@@ -1,4 +1,4 @@
-"""YAML of a page: what is opened, what is refused and where, what is saved and read again."""
+"""YAML of a page: opened files, faults with their places, and saved files that are read again."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIBRARY: dict[str, Any] = {name: material.to_dict() for name, material in shippe
 
 
 def running(text: str) -> tuple[Any, Any]:
-    """Scene and materials of a daemon that took this text."""
+    """Return scene and materials of a daemon that applied this text."""
     opened = read("a.yaml", text)
     return copy.deepcopy(opened.scene), copy.deepcopy({**LIBRARY, **opened.materials})
 
@@ -63,7 +63,7 @@ def test_a_configuration_gives_materials_and_scene_and_leaves_out_the_rest() -> 
         ("scene: !!python/object/apply:os.system [ls]\n", 1, "", "is not allowed here"),
     ],
 )
-def test_faults_are_told_by_line_and_key(text: str, line: int | None, where: str, problem: str) -> None:
+def test_faults_are_reported_by_line_and_key(text: str, line: int | None, where: str, problem: str) -> None:
     with pytest.raises(InvalidError) as caught:
         read("a:1.yaml", text)
     found: Any = placed(caught.value.problems, "a:1.yaml")[0]
@@ -71,7 +71,7 @@ def test_faults_are_told_by_line_and_key(text: str, line: int | None, where: str
     assert problem in found["problem"]
 
 
-def test_all_faults_are_told() -> None:
+def test_all_faults_are_reported() -> None:
     with pytest.raises(InvalidError) as caught:
         read(
             "a.yaml",
@@ -104,7 +104,7 @@ def test_a_name_that_is_a_path_is_only_a_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("file", [*shipped("scenes").values(), *shipped("materials").values()])
-def test_a_file_to_which_nothing_happened_is_saved_as_it_was(file: str) -> None:
+def test_an_unchanged_file_is_saved_unchanged(file: str) -> None:
     text = Path(file).read_text(encoding="utf-8")
     scene, materials = running(text)
     opened = read("a.yaml", text)
@@ -168,6 +168,6 @@ def test_a_default_that_the_file_says_and_strings_of_the_core_schema_stay() -> N
     assert found.text == text.replace("m: 2}", "m: 3.5}")
 
 
-def test_nothing_to_save_is_said() -> None:
+def test_nothing_to_save_is_an_error() -> None:
     with pytest.raises(HapticdError, match="nothing to save: every material is as shipped"):
         saved({}, LIBRARY, ["materials"])

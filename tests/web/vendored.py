@@ -1,6 +1,6 @@
-"""The packages that the page uses as npm has them: their files against the record, and against the registry's packages.
+"""The npm packages that the page includes: their files against the record, and against the registry's packages.
 
-`hapticd/web/static/vendor/packages.json` has name, version, licence, the hash of the package and of each file. To take
+`hapticd/web/static/vendor/packages.json` has name, version, licence, the hash of the package and of each file. To use
 another version, replace the files and the record. `python -m tests.web.vendored` fetches the packages with npm.
 """
 
@@ -26,7 +26,7 @@ def sha256(data: bytes) -> str:
 
 
 def faults(root: Path = ROOT, packages: list[dict[str, Any]] = PACKAGES) -> list[str]:
-    """What of the tree differs from the record: a line for each file."""
+    """Return a line for each file of the tree that differs from the record."""
     found: list[str] = []
     for package in packages:
         folder = root / package["folder"]
@@ -41,7 +41,7 @@ def faults(root: Path = ROOT, packages: list[dict[str, Any]] = PACKAGES) -> list
 
 
 def differences_from_registry(package: dict[str, Any]) -> list[str]:
-    """Fetches the package with npm; what of it is not as recorded."""
+    """Fetch the package with npm, and return a line for each file that differs from the record."""
     name = f"{package['name']}@{package['version']}"
     with tempfile.TemporaryDirectory() as folder:
         done = subprocess.run(["npm", "pack", "--silent", name], cwd=folder, capture_output=True, text=True)

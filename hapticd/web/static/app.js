@@ -7,7 +7,7 @@ import { Playback } from "./playback.js";
 import { SampleStore } from "./samples.js";
 import { Timing } from "./timing.js";
 
-// `newSafety(app)` makes the object that controls the forces; it may put more into `app`.
+// `newSafety(app)` makes the object that controls the forces; it may add members to `app`.
 export function newApp(newSafety) {
   const link = new Link(new URL("/socket", location.href));
   const app = { link, samples: new SampleStore(60), model: new Model(link), view: new EventTarget() };

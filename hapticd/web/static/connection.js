@@ -72,7 +72,7 @@ export class Link extends EventTarget {
       this.#pause_s = MIN_RETRY_PAUSE_S;
       this.heardAt = performance.now();
       this.#silentS = 0;
-      this.#watch = setInterval(() => this.#askWhereSilent(), 1000);
+      this.#watch = setInterval(() => this.#askIfSilent(), 1000);
       if (this.#topics !== null) {
         this.#subscribe();
       }
@@ -121,7 +121,7 @@ export class Link extends EventTarget {
   }
 
   // Called once a second. Time in which the page itself was blocked, as while it loads, does not count: messages may wait.
-  #askWhereSilent() {
+  #askIfSilent() {
     this.#silentS++;
     if (this.#silentS === MAX_SILENCE_S) {
       this.call("web.hello", {}, { timeout_s: 2 * MAX_SILENCE_S }).catch((error) => {

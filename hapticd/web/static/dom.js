@@ -29,7 +29,7 @@ export function button(text, classes, action, attributes = {}) {
   return make("button", { type: "button", class: `button ${classes}`, text, on: { click: action }, ...attributes });
 }
 
-// A <select> of [value, text] pairs. It is filled again only if the pairs changed, so that an open list stays open.
+// Fills a <select> with [value, text] pairs, but only if they changed, so that an open list stays open.
 export function fill(select, pairs, chosen) {
   const key = JSON.stringify(pairs);
   if (select.dataset.pairs !== key) {

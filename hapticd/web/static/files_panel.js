@@ -61,9 +61,9 @@ class FilesPanel {
       type: "file",
       accept: ".yaml,.yml",
       on: { change: () => this.#chosen() },
-      "aria-describedby": "files-said",
+      "aria-describedby": "files-message",
     });
-    this.said = make("p", { id: "files-said", class: "note", role: "status" });
+    this.message = make("p", { id: "files-message", class: "note", role: "status" });
     this.faults = make("div", { id: "files-faults", role: "alert", class: "files-faults" });
     this.parts = {
       scene: check("Scene", true, () => {}, { id: "save-scene" }),
@@ -93,7 +93,7 @@ class FilesPanel {
           this.file,
         ),
       ]),
-      this.said,
+      this.message,
       this.faults,
       this.#card("Save", [
         make("div", { class: "stack" }, ...Object.values(this.parts)),
@@ -155,11 +155,11 @@ class FilesPanel {
 
   #say(text) {
     this.faults.replaceChildren();
-    this.said.textContent = text;
+    this.message.textContent = text;
   }
 
   #fail(error) {
-    this.said.textContent = "";
+    this.message.textContent = "";
     const list = Array.isArray(error.data) ? error.data : [];
     const lines = list.map(({ line, where, problem }) => {
       const place = [line === null ? null : `line ${line}`, where || null].filter(Boolean).join(", ");
@@ -198,7 +198,7 @@ class FilesPanel {
     return this.#during(async () => {
       if (file.size > MAX_FILE_BYTES) {
         throw new Error(
-          `${file.name} has ${(file.size / 1e6).toFixed(1)} MB; at most ${MAX_FILE_BYTES / 1e6} MB are taken`,
+          `${file.name} has ${(file.size / 1e6).toFixed(1)} MB; at most ${MAX_FILE_BYTES / 1e6} MB are accepted`,
         );
       }
       const bytes = await file.arrayBuffer();

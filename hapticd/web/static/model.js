@@ -1,6 +1,6 @@
-// Scene, materials and configuration as the daemon has them. Events: `scene`, `materials`, `config`, when they changed
-// (the scene's `display` too), `status` once a second, `state` with every newest sample, `away` when the daemon does not
-// answer and `back` when it answers again.
+// Scene, materials and configuration as the daemon has them. Events: `scene` (also for its `display`), `materials` and
+// `config` after each change; `status` once a second; `state` with every newest sample; `away` when the daemon does not
+// answer; `back` when it answers again.
 //
 // Changes come by the topic `change` and are applied at once. Everything is requested again only if a change was missed or
 // too large to be listed, or if the daemon was restarted; there is at most one request at a time.
@@ -141,15 +141,15 @@ export class Model extends EventTarget {
     }
     this.revision = change.revision;
     const merge = (target, changes) => {
-      const whole = { ...target };
+      const result = { ...target };
       for (const [name, value] of Object.entries(changes)) {
         if (value === null) {
-          delete whole[name];
+          delete result[name];
         } else {
-          whole[name] = value;
+          result[name] = value;
         }
       }
-      return whole;
+      return result;
     };
     if (change.materials) {
       this.materials = merge(this.materials, change.materials);

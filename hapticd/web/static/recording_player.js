@@ -242,8 +242,8 @@ export class RecordingPlayer {
     context.clearRect(0, 0, width, height);
     const high = this.#outline.raw ?? this.#outline.max;
     const low = this.#outline.raw ?? this.#outline.min;
-    const most = high.reduce((found, value) => (value > found ? value : found), 0.1);
-    const y = (value) => height - 2 - (value / most) * (height - 16 * devicePixelRatio);
+    const largestN = high.reduce((found, value) => (value > found ? value : found), 0.1);
+    const y = (value) => height - 2 - (value / largestN) * (height - 16 * devicePixelRatio);
     context.beginPath();
     for (let i = 0; i < high.length; i++) {
       const x = ((i + 0.5) / high.length) * width;
@@ -258,7 +258,7 @@ export class RecordingPlayer {
     this.#drawMarks(context, width, height);
     context.fillStyle = color("muted");
     context.font = `${11 * devicePixelRatio}px sans-serif`;
-    context.fillText(`force, up to ${most.toPrecision(2)} N`, 2 * devicePixelRatio, 11 * devicePixelRatio);
+    context.fillText(`force, up to ${largestN.toPrecision(2)} N`, 2 * devicePixelRatio, 11 * devicePixelRatio);
   }
 
   #drawMarks(context, width, height) {

@@ -17,10 +17,10 @@ export function bytes(count) {
 }
 
 export function clock(seconds) {
-  const whole = Math.floor(seconds);
+  const total = Math.floor(seconds);
   const two = (value) => String(value).padStart(2, "0");
-  const minutes = `${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
-  return whole < 3600 ? minutes : `${Math.floor(whole / 3600)}:${minutes}`;
+  const minutes = `${two(Math.floor(total / 60) % 60)}:${two(total % 60)}`;
+  return total < 3600 ? minutes : `${Math.floor(total / 3600)}:${minutes}`;
 }
 
 export function mount(app, panel) {
@@ -59,9 +59,9 @@ class RecordingsPanel {
   // ---- Elements ---------------------------------------------------------------------------------------------------
 
   #build(panel) {
-    this.said = make("p", { class: "note", role: "status" });
+    this.message = make("p", { class: "note", role: "status" });
     this.error = make("p", { class: "error-line", role: "alert" });
-    panel.append(this.#recordCard(), this.said, this.error, this.player.element, this.#listCard());
+    panel.append(this.#recordCard(), this.message, this.error, this.player.element, this.#listCard());
     this.#propose();
   }
 
@@ -145,7 +145,7 @@ class RecordingsPanel {
   }
 
   #fail(error) {
-    this.said.textContent = "";
+    this.message.textContent = "";
     this.error.textContent = error.message;
   }
 
@@ -162,7 +162,7 @@ class RecordingsPanel {
 
   #start() {
     return this.#during(async () => {
-      this.said.textContent = "";
+      this.message.textContent = "";
       this.start.disabled = true;
       try {
         const text = this.notes.value.trim();
@@ -218,7 +218,7 @@ class RecordingsPanel {
       const early = last.ended_because === null ? "" : ` It ended early: ${last.ended_because}.`;
       const held = `${last.ticks.toLocaleString("en")} ticks in ${last.duration_s.toFixed(3)} s`;
       const warning = last.warning ? ` ${last.warning}.` : "";
-      this.said.textContent = `${last.name}: ${held}${lost}.${early}${warning}`;
+      this.message.textContent = `${last.name}: ${held}${lost}.${early}${warning}`;
     }
     this.#during(() => this.#refresh()).then(() => this.#propose());
   }
@@ -308,7 +308,7 @@ class RecordingsPanel {
     return this.#during(async () => {
       await this.#app.link.call("web.recording_delete", { name });
       await this.#refresh();
-      this.said.textContent = `${name} was deleted.`;
+      this.message.textContent = `${name} was deleted.`;
       this.name.focus();
     });
   }
@@ -317,10 +317,10 @@ class RecordingsPanel {
 
   #open(params) {
     return this.#during(async () => {
-      this.said.textContent = "It is being read.";
+      this.message.textContent = "The recording is being read.";
       const facts = await this.#app.playback.open(params);
       const held = `${clock(facts.duration_s)}, ${facts.rows.toLocaleString("en")} samples`;
-      this.said.textContent = `${facts.name} is shown in scene and oscilloscope: ${held}.`;
+      this.message.textContent = `${facts.name} is shown in scene and oscilloscope: ${held}.`;
       this.player.focus();
     });
   }
@@ -333,9 +333,9 @@ class RecordingsPanel {
     }
     return this.#during(async () => {
       if (file.size > MAX_UPLOAD_BYTES) {
-        throw new Error(`${file.name} has ${bytes(file.size)}; at most ${bytes(MAX_UPLOAD_BYTES)} are taken`);
+        throw new Error(`${file.name} has ${bytes(file.size)}; at most ${bytes(MAX_UPLOAD_BYTES)} are accepted`);
       }
-      this.said.textContent = `${file.name} is being sent.`;
+      this.message.textContent = `${file.name} is being sent.`;
       const answer = await fetch(`/uploads?name=${encodeURIComponent(file.name)}`, { method: "POST", body: file });
       const found = await answer.json();
       if (found.error !== undefined) {

@@ -83,7 +83,7 @@ export class Safety extends EventTarget {
     // A status that was sent before this page ended its lease still contains the lease.
     this.#another = lease_s !== null && !this.holds && performance.now() - this.#endedAt > 1e3 * LEASE_S;
     this.#set({ forces, faults });
-    this.#giveUpWhatIsOff();
+    this.#endLeaseIfOff();
   }
 
   // Called 60 times a second; the status comes only once a second.
@@ -95,12 +95,12 @@ export class Safety extends EventTarget {
     const forces = flags.includes("fault") ? "faulted" : flags.includes("forces_on") ? "on" : "off";
     if (forces !== this.forces) {
       this.#set({ forces, faults: forces === "faulted" ? this.faults : [] });
-      this.#giveUpWhatIsOff();
+      this.#endLeaseIfOff();
     }
   }
 
   // Another page or a fault turned the forces off: this page ends its lease.
-  #giveUpWhatIsOff() {
+  #endLeaseIfOff() {
     if (this.holds && this.#engaging === null && this.forces !== "on") {
       this.#endLease();
     }

@@ -27,8 +27,8 @@ class Records {
   constructor(layout, data) {
     this.layout = layout;
     this.count = Math.floor(data.byteLength / layout.size);
-    const whole = data.byteOffset % 8 === 0 ? data : data.slice(); // typed arrays need alignment
-    this.view = new DataView(whole.buffer, whole.byteOffset, whole.byteLength);
+    const aligned = data.byteOffset % 8 === 0 ? data : data.slice(); // typed arrays need alignment
+    this.view = new DataView(aligned.buffer, aligned.byteOffset, aligned.byteLength);
     this.arrays = new Map();
   }
 

@@ -16,7 +16,7 @@ const SAMPLE_COLUMNS = {
   lateness_s: ["lateness_ns", 0, 1e-9], work_s: ["work_ns", 0, 1e-9], flags: ["flags", 0, 1],
 };
 const COLUMN_TYPES = { time_s: Float64Array, flags: Uint32Array };
-export const MOST_ROWS = 800_000; // 54 MB; at rates above 13 kHz less than a minute
+export const MAX_ROWS = 800_000; // 54 MB; at rates above 13 kHz less than a minute
 
 // Events: `added` {count}: rows were added; `lost` {count}: samples were lost; `restart`: all rows were removed.
 export class SampleStore extends EventTarget {
@@ -46,7 +46,7 @@ export class SampleStore extends EventTarget {
   // Sets the servo's rate. The ring grows so that it stores its time span; it never shrinks.
   setRate(rateHz) {
     this.rateHz = rateHz;
-    const wanted = Math.min(Math.ceil(this.seconds * rateHz), MOST_ROWS);
+    const wanted = Math.min(Math.ceil(this.seconds * rateHz), MAX_ROWS);
     if (wanted > this.capacity) {
       this.#grow(wanted);
     }

@@ -104,8 +104,8 @@ class SceneView {
   // Fits all "objects" and the handle, or the complete "workspace", into the view.
   fit(what) {
     this.#fitted = what;
-    const whole = what === "workspace" ? this.workspace : null;
-    this.transform.fit(whole ?? extentOf(this.objects, [this.#handle], 0.01), MARGIN);
+    const workspace = what === "workspace" ? this.workspace : null;
+    this.transform.fit(workspace ?? extentOf(this.objects, [this.#handle], 0.01), MARGIN);
     this.picture.refresh();
   }
 

@@ -94,8 +94,8 @@ class Scope {
       "aria-label": "Traces and cursors",
     });
     this.state = make("p", { class: "scope-state", role: "status" });
-    this.said = make("p", { class: "scope-said" });
-    this.foot = make("div", { class: "view-foot scope-foot" }, this.state, this.said);
+    this.message = make("p", { class: "scope-message" });
+    this.foot = make("div", { class: "view-foot scope-foot" }, this.state, this.message);
     host.replaceChildren(
       this.controls.bar,
       this.body,
@@ -263,7 +263,7 @@ class Scope {
     this.spectrumPane.hidden = id !== "spectrum";
     this.latenessPane.hidden = id !== "lateness";
     this.legendHost.hidden = id !== "traces";
-    this.said.textContent = "";
+    this.message.textContent = "";
     this.spectrum.restart();
     this.#configure();
   }
@@ -425,8 +425,8 @@ class Scope {
   }
 
   #say(view, text) {
-    if (this.shown === view && this.said.textContent !== text) {
-      this.said.textContent = text;
+    if (this.shown === view && this.message.textContent !== text) {
+      this.message.textContent = text;
     }
   }
 

@@ -4,7 +4,7 @@
 //              heard (a PI controller on the fill, averaged over a second)
 //   gap        the ring is empty: the sound fades out within 3 ms, waits until the fill is at its target, and fades in. The
 //              target grows by 15 ms with each gap, up to 80 ms, and decreases by 0.5 ms a second
-//   skip       the fill is more than `most_s` above the target (the page was blocked): fades out, skips samples, fades in
+//   skip       the fill is more than `max_surplus_s` above the target (the page was blocked): fades out, skips samples, fades in
 //   lost       samples that did not arrive: the sound fades out and in within 3 ms, to avoid clicks
 //
 // Samples have two components, x and y, in N. A place is an index of samples since the beginning.
@@ -13,7 +13,7 @@ import { REACH } from "./sound_interpolator.js";
 const CAPACITY = 1 << 17;
 export const MASK = CAPACITY - 1;
 export const BASE_S = 0.045;
-const MOST_TARGET_S = 0.08; // keeps the latency below 150 ms
+const MAX_TARGET_S = 0.08; // keeps the latency below 150 ms
 const TARGET_STEP_S = 0.015;
 const TARGET_DECREASE_S_PER_S = 0.0005;
 const HALF_BATCH_S = 0.01;
@@ -21,7 +21,7 @@ const FADE_S = 0.003;
 const AVERAGE_S = 1;
 const PROPORTIONAL_PER_S = 0.2;
 const INTEGRAL_PER_S2 = 0.01;
-export const MOST_CORRECTION = 0.005;
+export const MAX_CORRECTION = 0.005;
 
 export class SampleBuffer {
   x = new Float32Array(CAPACITY);
@@ -37,14 +37,14 @@ export class SampleBuffer {
   nonfinite = 0;
   rate;
   target_s = BASE_S;
-  most_s;
+  max_surplus_s;
   #integral = 0;
   #surplus_s = 0; // fill above the target, averaged
   #skipping = false;
 
-  constructor(rate, most_s = 0.12) {
+  constructor(rate, max_surplus_s = 0.12) {
     this.rate = rate;
-    this.most_s = most_s;
+    this.max_surplus_s = max_surplus_s;
   }
 
   get fill_s() {
@@ -107,11 +107,11 @@ export class SampleBuffer {
     }
     this.target_s = Math.max(BASE_S, this.target_s - TARGET_DECREASE_S_PER_S * seconds);
     const surplus_s = this.fill_s - this.target_s;
-    if (surplus_s > this.most_s) {
+    if (surplus_s > this.max_surplus_s) {
       this.#skipping = true;
     }
     this.#surplus_s += (surplus_s - this.#surplus_s) * (seconds / AVERAGE_S);
-    const limited = (value) => Math.max(-MOST_CORRECTION, Math.min(MOST_CORRECTION, value));
+    const limited = (value) => Math.max(-MAX_CORRECTION, Math.min(MAX_CORRECTION, value));
     this.#integral = limited(this.#integral + INTEGRAL_PER_S2 * this.#surplus_s * seconds);
     this.correction = limited(PROPORTIONAL_PER_S * this.#surplus_s + this.#integral);
   }
@@ -137,7 +137,7 @@ export class SampleBuffer {
     }
     this.playing = false;
     this.gaps++;
-    this.target_s = Math.min(MOST_TARGET_S, this.target_s + TARGET_STEP_S);
+    this.target_s = Math.min(MAX_TARGET_S, this.target_s + TARGET_STEP_S);
     return false;
   }
 }

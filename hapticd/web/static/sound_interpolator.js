@@ -44,14 +44,14 @@ export class Interpolator {
 
   // Returns the value of a ring at a place, counted in samples since the beginning. `mask`: the ring's length minus one.
   at(ring, mask, place) {
-    const whole = Math.floor(place);
-    const phase = (place - whole) * PHASES;
+    const floor = Math.floor(place);
+    const phase = (place - floor) * PHASES;
     const low = Math.floor(phase);
     const part = phase - low;
     const table = this.#table;
     const from = low * TAPS;
     let [below, above] = [0, 0];
-    for (let tap = 0, index = whole - REACH + 1; tap < TAPS; tap++, index++) {
+    for (let tap = 0, index = floor - REACH + 1; tap < TAPS; tap++, index++) {
       const value = ring[index & mask];
       below += table[from + tap] * value;
       above += table[from + TAPS + tap] * value;

@@ -80,23 +80,23 @@ export class PitchReader {
     const before = this.#grains.at(-1);
     let begin = latest;
     if (before !== undefined) {
-      const goesOn = before.begin + before.at * step * this.pitch;
+      const next = before.begin + before.at * step * this.pitch;
       const overlap = ((this.#length / 2) * step * this.pitch) | 0;
-      begin = latest - this.#lagOf(buffer, Math.floor(goesOn), Math.floor(latest), overlap) + (goesOn % 1) - (latest % 1);
+      begin = latest - this.#lagOf(buffer, Math.floor(next), Math.floor(latest), overlap) + (next % 1) - (latest % 1);
     }
     this.#grains.push(new Grain(begin, 0));
   }
 
-  // Returns how many samples before `latest` the grain begins that is most similar to the samples from `goesOn` on.
-  #lagOf(buffer, goesOn, latest, overlap) {
+  // Returns how many samples before `latest` the grain begins that is maxLag similar to the samples from `next` on.
+  #lagOf(buffer, next, latest, overlap) {
     const { x, y } = buffer;
     const every = Math.max(1, Math.floor(overlap / COMPARED_PLACES));
-    const most = Math.round(SEARCH_S * buffer.rate);
+    const maxLag = Math.round(SEARCH_S * buffer.rate);
     let [best, found] = [0, 0];
-    for (let lag = 0; lag <= most; lag++) {
+    for (let lag = 0; lag <= maxLag; lag++) {
       let [product, energy] = [0, 1e-12];
       for (let i = 0; i < overlap; i += every) {
-        const [a, b] = [(goesOn + i) & MASK, (latest - lag + i) & MASK];
+        const [a, b] = [(next + i) & MASK, (latest - lag + i) & MASK];
         product += x[a] * x[b] + y[a] * y[b];
         energy += x[b] * x[b] + y[b] * y[b];
       }

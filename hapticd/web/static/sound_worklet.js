@@ -35,9 +35,9 @@ class Vibration extends AudioWorkletProcessor {
   #writtenFill_s = null; // the fill after the last batch
   #value = new Float64Array(2);
 
-  constructor({ processorOptions: { rate, most_s } }) {
+  constructor({ processorOptions: { rate, max_surplus_s } }) {
     super();
-    this.#buffer = new SampleBuffer(rate, most_s);
+    this.#buffer = new SampleBuffer(rate, max_surplus_s);
     this.#reader.set(1, rate);
     this.port.onmessage = ({ data }) => this.#take(data);
   }

@@ -52,7 +52,7 @@ export class Undo extends EventTarget {
     });
   }
 
-  // Runs a change that ends with `note`. An undo meanwhile waits for it, and undoes this change.
+  // Runs a change that ends with `note`. An undo that is requested meanwhile waits for this change, and undoes it.
   during(work) {
     const done = work();
     this.#underWay.add(done);
@@ -85,7 +85,7 @@ export class Undo extends EventTarget {
     return this.#step(() => this.#future, () => this.#past, "forward", "backward", "Redone");
   }
 
-  // Runs one undo or redo after the other, even if keys come fast.
+  // Runs one undo or redo after the other, even if keys are pressed fast.
   #step(from, to, direction, other, done) {
     this.#busy = this.#busy.then(async () => {
       await Promise.allSettled(this.#underWay);
@@ -162,7 +162,7 @@ const only = (patch, names) => Object.fromEntries(names.filter((name) => Object.
 
 function changedText(error) {
   const [{ path, is }] = error.departures;
-  const value = is === undefined ? "is gone" : typeof is === "object" ? "is another one" : `is now ${is}`;
+  const value = is === undefined ? "no longer exists" : typeof is === "object" ? "has another value" : `is now ${is}`;
   return `${path.join(".")} was changed elsewhere and ${value}`;
 }
 

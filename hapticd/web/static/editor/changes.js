@@ -32,7 +32,7 @@ export class Changed extends Error {
 
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
-// Event: `taken`, {target, patch, warnings}, after each call that the daemon accepted.
+// Event: `accepted`, {target, patch, warnings}, after each call that the daemon accepted.
 export class Changes extends EventTarget {
   calls = 0; // number of calls
   #link;
@@ -47,7 +47,7 @@ export class Changes extends EventTarget {
   }
 
   // Sends a merge patch of `materials` or `objects`, both by name, or of `scene` (display, ramp_s, passivity). Resolves when
-  // it, or a newer one that superseded it, is in force; rejects with Refused.
+  // the patch, or a newer one that supersedes it, is in force; rejects with Refused.
   send(target, patch) {
     return new Promise((resolve, reject) => {
       this.#waiting.push({ target, patch, resolve, reject });
@@ -162,7 +162,7 @@ export class Changes extends EventTarget {
     }
     this.#model.applied(target, patch, result);
     const detail = { target, patch, warnings: result.warnings ?? [] };
-    this.dispatchEvent(new CustomEvent("taken", { detail }));
+    this.dispatchEvent(new CustomEvent("accepted", { detail }));
     return result;
   }
 

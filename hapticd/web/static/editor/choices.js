@@ -34,7 +34,7 @@ const aimed = (what) => ({
 });
 
 // Choices by definition of the schema. The option whose keys a value has is in force. When an option is chosen, the `keys` of
-// the others are removed, and `start` gives the missing values. `rare`: offered only if it is in force.
+// the others are removed, and `start` gives the missing values. `rare`: offered only while it is in force.
 export const CHOICES = {
   Tap: [
     {
@@ -140,10 +140,10 @@ const GROOVE_DISPLAYS = {
 // Returns the other changes when the display of grooves changes. Strikes get the mode of the tap, if there is one.
 export function displayed(grooves, display, tap) {
   const others = Object.entries(GROOVE_DISPLAYS).flatMap(([name, { keys }]) => (name === display ? [] : keys));
-  const gone = Object.fromEntries(others.filter((key) => key in grooves).map((key) => [key, null]));
+  const removed = Object.fromEntries(others.filter((key) => key in grooves).map((key) => [key, null]));
   const rings = tap !== undefined && !("waveform" in tap) && !("mode_table" in tap);
   const mode = display === "vibration" && !rings ? { frequency_hz: 200, decay_time_s: 0.003 } : {};
-  return { ...gone, ...GROOVE_DISPLAYS[display].start, ...mode };
+  return { ...removed, ...GROOVE_DISPLAYS[display].start, ...mode };
 }
 
 const present = (option, value) => (option.is ? option.is(value) : option.keys.some((key) => key in value));

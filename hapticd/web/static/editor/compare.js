@@ -70,7 +70,7 @@ export class Compare extends EventTarget {
     return done;
   }
 
-  // The same as a step that can be undone.
+  // Does the same as `to`, as a step that can be undone.
   async choose(letter) {
     const [scope, before] = [this.scope, this.inForce];
     if (letter === before) {
@@ -87,7 +87,7 @@ export class Compare extends EventTarget {
     }
   }
 
-  // Runs one swap after the other, even if keys come fast.
+  // Runs one swap after the other, even if keys are pressed fast.
   toggle() {
     this.#toggling = this.#toggling.then(() => this.choose(OTHER_LETTER[this.inForce]));
     return this.#toggling;
@@ -106,22 +106,22 @@ export class Compare extends EventTarget {
       return [];
     }
     const current = this.#current();
-    return [...figures(current, kept.other)].map(({ path, one, other }) => ({ path, [kept.inForce]: one, [OTHER_LETTER[kept.inForce]]: other }));
+    return [...differences(current, kept.other)].map(({ path, one, other }) => ({ path, [kept.inForce]: one, [OTHER_LETTER[kept.inForce]]: other }));
   }
 }
 
-// Returns the paths at which two values differ.
-export function* figures(one, other, path = []) {
+// Yields {path, one, other} for each place at which two values differ.
+function* differences(one, other, path = []) {
   if (isMap(one) && isMap(other)) {
     for (const key of Object.keys(merged(one, other))) {
-      yield* figures(one[key], other[key], [...path, key]);
+      yield* differences(one[key], other[key], [...path, key]);
     }
   } else if (!equal(one, other)) {
     yield { path, one, other };
   }
 }
 
-// The two states, as a card. `units`: by key.
+// Makes the card that compares the two states. `units`: units by key.
 export function compareCard(app, compare, units) {
   const letters = ["A", "B"].map((letter) => button(letter, "", () => compare.choose(letter), { "aria-pressed": "false", "aria-keyshortcuts": "x" }));
   const scope = make("select", { class: "select", "aria-label": "Compared materials" });

@@ -38,7 +38,7 @@ export class Editor {
   // Returns whether a value at this path is not in force yet.
   isUnderWay(path) {
     const cut = path.findIndex((key) => typeof key === "number");
-    return this.app.undo.changes.isUnderWay(this.target, this.#whole(cut < 0 ? path : path.slice(0, cut)));
+    return this.app.undo.changes.isUnderWay(this.target, this.#fullPath(cut < 0 ? path : path.slice(0, cut)));
   }
 
   // Sends an intermediate value, as of a dragged slider. Resolves with null or the daemon's problem, as one line.
@@ -52,13 +52,13 @@ export class Editor {
   }
 
   // Sends a final value and stores the step for undo. `before`: the value before the drag; `join`: joins steps of a control.
-  // It is sent at once with other waiting changes, so that older values of a slider may be skipped.
+  // The value is sent together with other waiting changes, so that older values of a slider may be skipped.
   commit(what, patch, { before = this.value, join = null } = {}) {
     return this.app.undo.during(() => this.#commit(what, patch, before, join));
   }
 
   // Sends a change as a separate step, after all changes before it. `build` returns the patch from the value after these;
-  // undefined: there is nothing to change any more.
+  // it returns undefined if there is nothing to change any more.
   change(what, build) {
     const { undo } = this.app;
     const send = () => {
@@ -79,14 +79,14 @@ export class Editor {
 
   // Returns the warnings that concern a path, as lines.
   warningsAt(path) {
-    const whole = this.#whole(path);
+    const full = this.#fullPath(path);
     return this.app.warnings
       .of(this.target)
-      .filter((each) => related(each.path, whole) && each.path.length >= whole.length)
+      .filter((each) => related(each.path, full) && each.path.length >= full.length)
       .map(({ text }) => text);
   }
 
-  #whole(path) {
+  #fullPath(path) {
     return this.name === null ? path : [this.name, ...path];
   }
 
@@ -96,9 +96,9 @@ export class Editor {
 
   #problem(error, patch) {
     if (!error.problems?.length) {
-      return `Not taken: ${error.message}`;
+      return `Not applied: ${error.message}`;
     }
-    const own = this.#whole([]);
+    const own = this.#fullPath([]);
     return error.problems
       .filter(({ path }) => related(path, own))
       .map(({ path, problem }) => {

@@ -4,11 +4,10 @@
 // refused value. Only values that the user changed are sent.
 import { fill, make } from "../dom.js";
 import { fieldFrame, inShownUnit, limitsOf } from "./field_frame.js";
-import { format, parse, shownUnit, withUnit } from "./numbers.js";
+import { NOT_A_NUMBER_TEXT, format, parse, shownUnit, withUnit } from "./numbers.js";
 import { STEPS, atEnd, scaleAround } from "./scale.js";
 import { typicalOf, valueLabel } from "./words.js";
 
-const NOT_A_NUMBER_TEXT = "Must be a number, such as 6.48.";
 const MAX_SLIDER_VALUE = 1e9; // larger numbers have no slider, such as a seed
 
 // A number in a text field and, if `slider` is given, on a slider; both show one value.
@@ -157,7 +156,7 @@ export function numberField(editor, spec) {
 // The slider of an angle covers at most one turn, regardless of the limits.
 const turns = (limits) => ({ ...limits, min: Math.max(limits.min, -Math.PI), max: Math.min(limits.max, Math.PI) });
 
-// A quantity that may be given by one of two keys: a number whose unit can be chosen.
+// Makes the field of a quantity that one of two keys gives: a number with a choice of units.
 export function pairField(editor, spec, pair, schemas) {
   const frame = fieldFrame(editor, spec);
   const held = () => pair.keys.find((key) => editor.at([...spec.path.slice(0, -1), key]) !== undefined) ?? pair.keys[0];

@@ -14,7 +14,7 @@ const TABLES = { amplitudes, mode_table: modeTable, frequency_table: frequencyTa
 const LISTS = { coefficients: false, samples: true };
 const COMPONENTS = { size_m: ["width", "height"] };
 
-// Returns the key of a value on which the fields depend.
+// Returns the keys and kinds of a value, which determine the fields of its form.
 function shapeOf(value) {
   if (!isMap(value)) {
     return Array.isArray(value) && value.some(isMap) && "coefficients" in value[0] ? value.map(shapeOf) : 0;
@@ -101,7 +101,7 @@ export class Form {
     return elements;
   }
 
-  // Makes a block for a map. The fields of `display`, which always exists and is small, are among the others.
+  // Returns whether a value of this schema, a map or one of several kinds of maps, is shown as a block.
   #isBlock(schema) {
     const kind = schema.title;
     return !(kind in TABLES) && (isMap(schema.properties) || schema.oneOf?.[0]?.$ref !== undefined);
@@ -151,7 +151,7 @@ export class Form {
     return numberField(editor, spec);
   }
 
-  // Returns the other changes with a value of an enumeration: for the display of grooves, the keys that it needs.
+  // Returns the changes that must accompany a new value of an enumeration: for the display of grooves, its keys.
   #needed({ definition, path }, value) {
     return definition === "Grooves" ? displayed(this.editor.at(path.slice(0, -1)) ?? {}, value, this.editor.at(["tap"])) : {};
   }
@@ -213,8 +213,8 @@ export class Form {
     select.addEventListener("change", async () => {
       const start = TEXTURE_STARTS[select.value]();
       const patch = () => {
-        const gone = Object.fromEntries(Object.keys(this.editor.at(path) ?? {}).map((key) => [key, null]));
-        return this.editor.patch(path, { ...gone, ...start });
+        const removed = Object.fromEntries(Object.keys(this.editor.at(path) ?? {}).map((key) => [key, null]));
+        return this.editor.patch(path, { ...removed, ...start });
       };
       const refused = await this.editor.change("kind of texture", patch);
       problem.textContent = refused ?? "";

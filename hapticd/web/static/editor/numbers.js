@@ -21,6 +21,7 @@ const SHOWN_UNITS = {
 };
 const DEGREES_PER_RAD = 180 / Math.PI;
 const SIGNIFICANT_DIGITS = 7;
+export const NOT_A_NUMBER_TEXT = "Must be a number, such as 6.48.";
 
 // Returns {si, text, spoken, places}: how values of a schema's unit are shown; unknown units are not converted.
 export function shownUnit(si) {

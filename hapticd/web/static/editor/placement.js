@@ -11,7 +11,8 @@ const WALL_CANDIDATES = [
   { point_m: [0, 0.065], normal: [0, -1] },
 ];
 
-const rounded = (value) => Number(value.toFixed(6));
+// Returns a length in m, rounded to micrometres.
+export const rounded = (value) => Number(value.toFixed(6));
 
 // Returns the distance of a point from an object, in m; negative: inside. Objects that cannot be touched are far away.
 export function clearance([x, y], object) {
@@ -35,7 +36,7 @@ export function clearance([x, y], object) {
   }
 }
 
-// Returns a point with enough space around it, or else the one with most; of equal ones that nearest to the middle.
+// Returns a point with enough space around it, or else with most space; of equal points that nearest to the middle.
 export function roomiest(objects, handle) {
   const solids = Object.values(objects);
   const free = (point) => Math.min(SUFFICIENT_DISTANCE_M, Math.hypot(point[0] - handle[0], point[1] - handle[1]) - HANDLE_CLEARANCE_M, ...solids.map((object) => clearance(point, object)));
@@ -62,7 +63,7 @@ function freeWall(objects, handle) {
   return WALL_CANDIDATES.find((wall) => !parallel(wall) && outside(wall)) ?? WALL_CANDIDATES.find(outside) ?? WALL_CANDIDATES[0];
 }
 
-// A new object of a kind, of a material where it has one.
+// Returns a new object of a kind, with `material` if the kind has a material.
 export function newObject(kind, { objects, handle, material }) {
   const { point, room } = roomiest(objects, handle);
   const size = rounded(Math.min(Math.max(0.6 * room, 0.003), 0.012));
@@ -84,7 +85,7 @@ export function newObject(kind, { objects, handle, material }) {
   }
 }
 
-// A copy of an object, a little aside where it has a place.
+// Returns a copy of an object, shifted a little if the object has a place.
 export function duplicate(object, objects, handle) {
   const copy = structuredClone(object);
   if (copy.center_m) {

@@ -5,7 +5,7 @@ export class RenameForm {
   element;
   #input;
 
-  // `rename` is called with what was written.
+  // `rename` is called with the new name.
   constructor(rename) {
     const id = newId("rename");
     this.#input = make("input", { type: "text", id, maxlength: 64 });

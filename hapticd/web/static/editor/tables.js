@@ -4,12 +4,11 @@
 import { button, fill, make, svg } from "../dom.js";
 import { fieldFrame } from "./field_frame.js";
 import { withWarnings } from "./fields.js";
-import { format, parse, shownUnit } from "./numbers.js";
+import { NOT_A_NUMBER_TEXT, format, parse, shownUnit } from "./numbers.js";
 
-const NOT_A_NUMBER_TEXT = "Must be a number, such as 6.48.";
-
-// `table(value)` returns {head: [text or cell], rows: [[cell]], add: [text, value] or null, remove(row)}; a cell is
-// {name, unit, value, set(number) -> the complete new value} or, for a name, {name, options, value, set}.
+// `table(value)` returns {head: [text or cell], rows: [[cell]], add, columns: buttons as [text, function],
+// remove: {min, of}}. `remove.of(row)` removes a row if the table has more than `min` rows. A cell is {name, unit, value,
+// set} or, for a name, {name, options, value, set}. All functions return the complete new value.
 export function tableField(editor, spec, table) {
   const frame = fieldFrame(editor, spec);
   frame.label.removeAttribute("for");
@@ -22,8 +21,8 @@ export function tableField(editor, spec, table) {
   async function send(newValueOf, cell) {
     const patch = () => {
       const value = editor.at(spec.path);
-      const whole = value === undefined ? undefined : newValueOf(table(value));
-      return whole === undefined ? undefined : editor.patch(spec.path, whole);
+      const changed = value === undefined ? undefined : newValueOf(table(value));
+      return changed === undefined ? undefined : editor.patch(spec.path, changed);
     };
     const problem = await editor.change(spec.label.toLowerCase(), patch);
     frame.showProblem(problem, cell ? [cell] : []);
@@ -31,7 +30,7 @@ export function tableField(editor, spec, table) {
     follow();
   }
 
-  // `find` returns the same cell of the table at that time; undefined if it was removed.
+  // `find(table)` returns the same cell in a newer table; undefined if it was removed.
   function drawCell(cell, find) {
     const sendCell = (value, input) => send((then) => find(then)?.set(value), input);
     return cell.options ? drawChoice(cell, sendCell, frame) : drawNumber(cell, sendCell, frame);
@@ -43,8 +42,8 @@ export function tableField(editor, spec, table) {
       make("tr", {}, ...cells.map((each, column) => make(tag, tag === "th" ? { scope: "col" } : {}, typeof each === "string" ? each : drawCell(each, (then) => find(then)?.[column]))));
     const body = rows.map((cells, index) => {
       const tr = line(cells, "td", (then) => then.rows[index]);
-      if (remove && rows.length > remove.least) {
-        const cut = (then) => (then.rows.length > index && then.rows.length > then.remove.least ? then.remove.of(index) : undefined);
+      if (remove && rows.length > remove.min) {
+        const cut = (then) => (then.rows.length > index && then.rows.length > then.remove.min ? then.remove.of(index) : undefined);
         tr.append(make("td", {}, button("×", "quiet small", () => send(cut), { "aria-label": `Remove row ${index + 1}` })));
       }
       return tr;
@@ -121,7 +120,7 @@ function drawChoice(cell, send, frame) {
 const without = (list, index) => list.toSpliced(index, 1);
 const withUnits = (text, si) => `${text}, ${shownUnit(si).text}`;
 
-// Points [speed, amplitude].
+// Returns the table of points [speed, amplitude].
 export function amplitudes(points) {
   const set = (row, column) => (value) => points.with(row, points[row].with(column, value));
   const last = points.at(-1);
@@ -132,11 +131,11 @@ export function amplitudes(points) {
       { name: `Amplitude ${row + 1}`, unit: "m/s^2", value: amplitude, set: set(row, 1) },
     ]),
     add: [["Add point", () => [...points, [2 * last[0], 2 * last[1]]]]],
-    remove: { least: 1, of: (row) => without(points, row) },
+    remove: { min: 1, of: (row) => without(points, row) },
   };
 }
 
-// Three lists of one length.
+// Returns the table of speeds, frequencies and decay times, three lists of the same length.
 export function modeTable(table) {
   const keys = ["speeds_m_per_s", "frequencies_hz", "decay_times_s"];
   const names = [["Speed", "m/s"], ["Frequency", "Hz"], ["Decay time", "s"]];
@@ -152,11 +151,11 @@ export function modeTable(table) {
       })),
     ),
     add: [["Add speed", () => each((list, key) => [...list, key === "speeds_m_per_s" ? 2 * (list.at(-1) || 0.05) : list.at(-1)])]],
-    remove: { least: 1, of: (row) => each((list) => without(list, row)) },
+    remove: { min: 1, of: (row) => each((list) => without(list, row)) },
   };
 }
 
-// A frequency for each speed (rows) and each force (columns).
+// Returns the table with a frequency for each speed (row) and each force (column).
 export function frequencyTable(table) {
   const { speeds_m_per_s: speeds, forces_n: forces, frequencies_hz: grid } = table;
   return {
@@ -178,11 +177,11 @@ export function frequencyTable(table) {
       ["Add force", () => ({ ...table, forces_n: [...forces, 2 * (forces.at(-1) || 0.5)], frequencies_hz: grid.map((line) => [...line, line.at(-1)]) })],
       ...(forces.length > 1 ? [["Remove last force", () => ({ ...table, forces_n: forces.slice(0, -1), frequencies_hz: grid.map((line) => line.slice(0, -1)) })]] : []),
     ],
-    remove: { least: 1, of: (row) => ({ ...table, speeds_m_per_s: without(speeds, row), frequencies_hz: without(grid, row) }) },
+    remove: { min: 1, of: (row) => ({ ...table, speeds_m_per_s: without(speeds, row), frequencies_hz: without(grid, row) }) },
   };
 }
 
-// Patches of a wall: from, to, material.
+// Returns the table of a wall's patches: from, to, material.
 export function patches(list, names) {
   const set = (row, key) => (value) => list.with(row, { ...list[row], [key]: value });
   return {
@@ -193,7 +192,7 @@ export function patches(list, names) {
       { name: `Material of patch ${row + 1}`, options: names, value: patch.material, set: set(row, "material") },
     ]),
     add: [["Add patch", () => [...list, newPatch(list, names)]]],
-    remove: { least: 0, of: (row) => without(list, row) },
+    remove: { min: 0, of: (row) => without(list, row) },
   };
 }
 
@@ -204,7 +203,7 @@ export function newPatch(list, names) {
   return { from_m: start, to_m: Number((start + 0.02).toFixed(6)), material: names[0] };
 }
 
-// Numbers in a text, separated by spaces or commas; `picture` draws their curve.
+// Makes a field for a list of numbers, as text with spaces or commas. `picture`: whether their curve is drawn.
 export function listField(editor, spec, picture) {
   const frame = fieldFrame(editor, spec);
   const text = make("textarea", { class: "list-input", rows: 3, spellcheck: "false", id: frame.ids.control, "aria-describedby": frame.describedBy });

@@ -42,9 +42,9 @@ export function tryCard(app) {
   async function gesture(make_) {
     const spot = spotOf(app.model.scene, name);
     const params = make_(spot);
-    const said = `The hand ${{ tap: "taps", stroke: "strokes", puncture: "punctures" }[params.gesture.kind]} ${spot.object}.`;
-    if (make_ !== punctureGesture || (await call("reset", { objects: [spot.object] }, "The membrane is whole again."))) {
-      await call("set_operator", params, said);
+    const message = `The hand ${{ tap: "taps", stroke: "strokes", puncture: "punctures" }[params.gesture.kind]} ${spot.object}.`;
+    if (make_ !== punctureGesture || (await call("reset", { objects: [spot.object] }, "The membrane is healed."))) {
+      await call("set_operator", params, message);
     }
   }
 

@@ -1,4 +1,5 @@
 // How the simulated hand tries a material: where in the scene it can be touched, and by which gesture.
+import { rounded } from "./placement.js";
 
 const REACH_M = 0.06; // reach of the hand, to either side of the middle
 const MARGIN = 0.1; // fraction of a section that is left free at each end
@@ -7,7 +8,7 @@ const TAP = { kind: "tap", speed_m_per_s: 0.2 };
 const STROKE = { kind: "stroke", speed_m_per_s: 0.08, press_n: 1, count: 2 };
 
 // Returns the sections of a wall with a material, within reach: [from, to] along the surface from the wall's point.
-export function stretches(wall, name) {
+export function sections(wall, name) {
   const [nx, ny] = wall.normal;
   const middle = -(wall.point_m[0] * ny - wall.point_m[1] * nx); // position of the origin along the surface
   const patches = (wall.patches ?? []).toSorted((a, b) => a.from_m - b.from_m);
@@ -29,7 +30,7 @@ export function spotOf(scene, name) {
   const spots = [];
   for (const [object, each] of Object.entries(scene.objects)) {
     if (each.kind === "wall") {
-      spots.push(...stretches(each, name).map(({ from, to }) => ({ object, from, to })));
+      spots.push(...sections(each, name).map(({ from, to }) => ({ object, from, to })));
     } else if (each.material === name) {
       const half = { box: each.size_m?.[0], membrane: each.width_m, disc: each.radius_m }[each.kind] / 2;
       spots.push({ object, from: -half, to: half });
@@ -42,8 +43,6 @@ export function spotOf(scene, name) {
   const inset = MARGIN * (longest.to - longest.from);
   return { object: longest.object, from: longest.from + inset, to: longest.to - inset };
 }
-
-const rounded = (value) => Number(value.toFixed(6));
 
 // Returns the params of set_operator.
 export function tapGesture({ object, from, to }) {

@@ -1,5 +1,5 @@
-// Warnings about parts of the scene that are not displayed as specified, from the daemon's status, and about stability, from
-// the margins in its answers: `app.warnings`.
+// Warnings (`app.warnings`) about parts of the scene that are not displayed as specified, from the daemon's status. Also the
+// stability of surfaces, from the margins in the daemon's answers.
 //
 // The status comes once a second. After a change of this page it is requested at once, with one call under way. Changes of
 // other clients come without margins, which are requested with the next status.
@@ -23,7 +23,7 @@ export class Warnings extends EventTarget {
       this.#take(app.model.status);
       this.#askMargins();
     });
-    app.undo.changes.addEventListener("taken", ({ detail }) => {
+    app.undo.changes.addEventListener("accepted", ({ detail }) => {
       if (detail.target === "materials") {
         const lines = detail.warnings.map(({ where, problem }) => ({ path: parsePath(where).slice(1), text: problem }));
         for (const name of Object.keys(detail.patch)) {

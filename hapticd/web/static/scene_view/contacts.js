@@ -32,7 +32,7 @@ export class Contacts extends EventTarget {
     app.link.addEventListener("state", (event) => {
       this.#sift(event.detail.tick);
       if (this.#live) {
-        this.#stated(event.detail);
+        this.#gotState(event.detail);
       }
     });
     app.link.addEventListener("change", (event) => this.#commanded(event.detail));
@@ -121,8 +121,8 @@ export class Contacts extends EventTarget {
     this.marks.add(kind, point, performance.now());
   }
 
-  // Takes the servo's list of touched objects, unless events of later ticks have come.
-  #stated(state) {
+  // Adopts the servo's list of touched objects, unless events of later ticks have come.
+  #gotState(state) {
     if (state.tick < this.#tick) {
       return;
     }

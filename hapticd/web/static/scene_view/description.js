@@ -4,7 +4,7 @@ const MAX_NAMED_OBJECTS = 3;
 
 const mm = (metres) => (metres * 1000).toFixed(1);
 
-// "x 1.0 mm, y -2.5 mm, touching floor, 1.23 N". A minus is written as one.
+// Returns a moment as text: "x 1.0 mm, y −2.5 mm, touching floor, 1.23 N".
 export function words(moment, touching) {
   if (moment === null) {
     return "No samples yet";

@@ -3,7 +3,7 @@ import { EVERYWHERE, lengthOf } from "./geometry.js";
 import { drawArrow } from "./arrows.js";
 import { roundedUp } from "./transform.js";
 
-const RING_PX = 46; // least distance of rings of equal force
+const RING_PX = 46; // smallest distance of rings of equal force
 const LATTICE_PX = 110;
 
 function drawSpring(pen, id, spring) {

@@ -109,7 +109,7 @@ export function behind(polygon, point, normal) {
 
 // Returns the section [from, to] of a line through `point` along `direction` within a rectangle [left, bottom, right, top];
 // null if there is none.
-export function stretchSeen(point, direction, [left, bottom, right, top]) {
+export function sectionSeen(point, direction, [left, bottom, right, top]) {
   let from = -Infinity;
   let to = Infinity;
   for (const [axis, low, high] of [[0, left, right], [1, bottom, top]]) {
@@ -157,8 +157,8 @@ export function extentOf(objects, also, margin) {
       points.push(frame.point, ...patches.flatMap((p) => [global(frame, [p.from_m, 0]), global(frame, [p.to_m, 0])]));
     }
   }
-  const low = [0, 1].map((axis) => points.reduce((least, p) => Math.min(least, p[axis]), Infinity) - margin);
-  const high = [0, 1].map((axis) => points.reduce((most, p) => Math.max(most, p[axis]), -Infinity) + margin);
+  const low = [0, 1].map((axis) => points.reduce((low, p) => Math.min(low, p[axis]), Infinity) - margin);
+  const high = [0, 1].map((axis) => points.reduce((high, p) => Math.max(high, p[axis]), -Infinity) + margin);
   return [...low, ...high];
 }
 

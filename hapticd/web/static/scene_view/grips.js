@@ -2,7 +2,7 @@
 import { along, frameOf, global, local, minus } from "./geometry.js";
 
 const STEP_M = 0.001; // step of snapping
-const STEP_RAD = Math.PI / 36; // 5 degrees
+export const TURN_RAD = Math.PI / 36; // step of turning: 5 degrees
 const MIN_SIZE_M = 0.0005;
 const KNOB_PX = 34;
 
@@ -30,12 +30,12 @@ export function moved(object, delta, snap = false) {
 export function turned(object, angle, snap = false) {
   if (object.kind === "box") {
     let next = (object.angle_rad ?? 0) + angle;
-    next = snap ? snapped(next, STEP_RAD) : next;
+    next = snap ? snapped(next, TURN_RAD) : next;
     return { angle_rad: tidy(Math.atan2(Math.sin(next), Math.cos(next))) };
   }
   const normal = frameOf(object).normal;
   let next = Math.atan2(normal[1], normal[0]) + angle;
-  next = snap ? snapped(next, STEP_RAD) : next;
+  next = snap ? snapped(next, TURN_RAD) : next;
   return { normal: tidyPoint([Math.cos(next), Math.sin(next)]) };
 }
 

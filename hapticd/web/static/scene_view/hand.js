@@ -8,7 +8,7 @@
 // Targets are sent only between `allow(true)` and `allow(false)`: only the page that controls the forces moves the hand. A
 // motion that was requested before begins as soon as it is allowed, if the hand is still held then.
 
-const MIN_TARGET_INTERVAL_MS = 4; // least time between two targets
+const MIN_TARGET_INTERVAL_MS = 4; // shortest time between two targets
 const REPEAT_INTERVAL_MS = 10; // interval of targets while the hand is held still
 const REACH_M_PER_S = 0.5; // speed from the hand's position to a new aim
 const MAX_STEP_TIME_S = 0.02;

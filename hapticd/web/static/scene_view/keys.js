@@ -1,9 +1,9 @@
 // The keyboard on the canvas. In Feel mode the arrow keys move the hand, in Arrange mode the selected object; with Ctrl, or
 // if there is nothing to move, they move the view.
+import { TURN_RAD } from "./grips.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 const PAN_PX = 40;
-const TURN_RAD = Math.PI / 36;
 // Length of a step, in m, and speed of the hand, in m/s: FINE_STEP with Alt, FAST_STEP with Shift, NORMAL_STEP without them.
 const FINE_STEP = [0.0001, 0.02];
 const NORMAL_STEP = [0.001, 0.06];

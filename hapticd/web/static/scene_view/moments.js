@@ -37,13 +37,13 @@ export const isSaturated = (moment) => (moment.flags & FLAG_SATURATED) !== 0;
 // Returns the largest vibration of the rows [from, to), so that vibration shorter than a frame is visible.
 export function largestVibration(samples, from, to) {
   const { vibration_x_n: x, vibration_y_n: y } = samples.columns;
-  let most = 0;
+  let largest = 0;
   let found = [0, 0];
   for (let row = Math.max(from, samples.first); row < to; row++) {
     const at = row % samples.capacity;
     const size = x[at] * x[at] + y[at] * y[at];
-    if (size > most) {
-      most = size;
+    if (size > largest) {
+      largest = size;
       found = [x[at], y[at]];
     }
   }

@@ -5,7 +5,7 @@ import { color } from "../theme.js";
 import { drawForces, pxPerNewton } from "./arrows.js";
 import { drawSelection } from "./arrange.js";
 import { drawFields, nameFields } from "./fields.js";
-import { corners, ends, frameOf, stretchSeen, along, SURFACES } from "./geometry.js";
+import { corners, ends, frameOf, sectionSeen, along, SURFACES } from "./geometry.js";
 import { drawGrid, drawScaleBars, drawTicks, drawWorkspace, EDGE_BOTTOM_PX, EDGE_LEFT_PX } from "./grid.js";
 import { Labels } from "./labels.js";
 import { drawMarks } from "./marks.js";
@@ -231,7 +231,7 @@ function outline(ctx, transform, object) {
   } else if (object.kind === "membrane") {
     ends(frame).forEach((end) => ctx.lineTo(...transform.toPx(end)));
   } else if (object.kind === "wall") {
-    const seen = stretchSeen(frame.point, frame.tangent, transform.seen) ?? [0, 0];
+    const seen = sectionSeen(frame.point, frame.tangent, transform.seen) ?? [0, 0];
     seen.forEach((s) => ctx.lineTo(...transform.toPx(along(frame.point, frame.tangent, s))));
     const [x, y] = transform.toPx(frame.point);
     ctx.moveTo(x + 5, y);

@@ -1,6 +1,6 @@
 // Drawing of walls, boxes and discs, and of the names of all objects (membranes: membranes.js). `pen` has what drawing
 // needs: {ctx, transform, materials, colours, labels}.
-import { behind, boundsOf, corners, ends, frameOf, global, stretchSeen } from "./geometry.js";
+import { behind, boundsOf, corners, ends, frameOf, global, sectionSeen } from "./geometry.js";
 import { BAND_PX, drawSurface, tint } from "./textures.js";
 
 const HATCH_PX = 12;
@@ -35,7 +35,7 @@ function hatch(pen) {
 }
 
 // Returns the sections of the visible part of a wall, [from, to, material]: patches and the parts between them.
-export function stretches(wall, from, to) {
+export function sections(wall, from, to) {
   const found = [];
   let at = from;
   for (const patch of [...(wall.patches ?? [])].sort((a, b) => a.from_m - b.from_m)) {
@@ -76,12 +76,12 @@ function drawWall(pen, wall) {
   ctx.fillStyle = tint(wall.material, 0.13);
   ctx.fill();
   hatch(pen);
-  const seen = stretchSeen(frame.point, frame.tangent, [left, bottom, right, top]);
+  const seen = sectionSeen(frame.point, frame.tangent, [left, bottom, right, top]);
   if (seen === null) {
     return;
   }
   const scale = transform.pxPerM;
-  const parts = stretches(wall, ...seen);
+  const parts = sections(wall, ...seen);
   onSurface(pen, frame.point, frame.normal, frame.tangent, (surface) => {
     for (const [from, to, material] of parts) {
       surface.fillStyle = tint(material, 0.4);
@@ -102,11 +102,11 @@ function drawWall(pen, wall) {
 function nameWall(pen, id, wall) {
   const { ctx, transform, colours, labels } = pen;
   const frame = frameOf(wall);
-  const seen = stretchSeen(frame.point, frame.tangent, transform.seen);
+  const seen = sectionSeen(frame.point, frame.tangent, transform.seen);
   if (seen === null) {
     return;
   }
-  const parts = stretches(wall, ...seen);
+  const parts = sections(wall, ...seen);
   const below = (s, px) => transform.toPx(global(frame, [s, -px / transform.pxPerM]));
   for (const [from, to, material] of parts.slice(0, 200)) {
     if (material !== wall.material) {

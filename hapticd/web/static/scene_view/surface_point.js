@@ -18,7 +18,7 @@ function faceOf(axis, positive) {
 
 // Returns the face through which the segment from a to b, in the box's axes, enters the box; null if it does not.
 export function enteredFace(half, a, b) {
-  let most = 0;
+  let longest = 0;
   let face = null;
   if (Math.abs(a[0]) < half[0] - RIM_M && Math.abs(a[1]) < half[1] - RIM_M) {
     return null;
@@ -27,14 +27,14 @@ export function enteredFace(half, a, b) {
     const step = b[axis] - a[axis];
     const length = Math.abs(step);
     const gap = (step < 0 ? a[axis] : -a[axis]) - half[axis];
-    if (!(gap < length) || gap < -RIM_M || length <= most) {
+    if (!(gap < length) || gap < -RIM_M || length <= longest) {
       continue;
     }
     const cut = gap > 0 ? gap / length : 0;
     const other = a[1 - axis] + cut * (b[1 - axis] - a[1 - axis]);
     if (Math.abs(other) <= half[1 - axis] + RIM_M) {
       face = faceOf(axis, step < 0);
-      most = length;
+      longest = length;
     }
   }
   return face;

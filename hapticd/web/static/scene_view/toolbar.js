@@ -1,7 +1,6 @@
 // The buttons above the canvas: Feel or Arrange, actions on the selected object, zoom; and the legend below it.
 import { button, make } from "../dom.js";
-
-const TURN_RAD = Math.PI / 36;
+import { TURN_RAD } from "./grips.js";
 
 const named = (text, name, call) => button(text, "small", call, { "aria-label": name, title: name });
 const group = (classes, label, ...children) => make("div", { class: classes, role: "group", "aria-label": label }, ...children);

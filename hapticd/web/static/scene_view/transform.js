@@ -11,7 +11,7 @@ export function roundedDown(value) {
   return (lead >= 5 - 1e-9 ? 5 : lead >= 2 - 1e-9 ? 2 : 1) * power;
 }
 
-// Returns the least of 1, 2, 5 times a power of ten that is at least `value`.
+// Returns the smallest of 1, 2, 5 times a power of ten that is at least `value`.
 export function roundedUp(value) {
   const power = 10 ** Math.floor(Math.log10(value) + 1e-9);
   const lead = value / power;
@@ -76,14 +76,14 @@ export class Transform {
     ];
   }
 
-  // Returns the distance of grid lines in m for a least distance in pixels.
-  gridStep(leastPx) {
-    return roundedUp(leastPx / this.pxPerM);
+  // Returns the distance of grid lines in m for a smallest distance in pixels.
+  gridStep(minPx) {
+    return roundedUp(minPx / this.pxPerM);
   }
 
   // Returns the length of a scale bar in m for a largest length in pixels.
-  barLength(mostPx) {
-    return roundedDown(mostPx / this.pxPerM);
+  barLength(maxPx) {
+    return roundedDown(maxPx / this.pxPerM);
   }
 }
 

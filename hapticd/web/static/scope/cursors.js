@@ -17,11 +17,11 @@ export function valueAt(source, id, time) {
 function nearestRow(source, time) {
   const after = source.rowAt(time);
   let best = -1;
-  let least = 1.01 * source.periodS;
+  let nearest = 1.01 * source.periodS;
   for (let row = Math.max(source.first, after - 1); row < Math.min(source.rows, after + 1); row++) {
     const away = Math.abs(source.time[row % source.capacity] - time);
-    if (away < least) {
-      [best, least] = [row, away];
+    if (away < nearest) {
+      [best, nearest] = [row, away];
     }
   }
   return best;

@@ -26,12 +26,12 @@ export function quantile({ edges, counts, max }, share) {
 export class HistogramView {
   #uplot = null;
   #host;
-  #said;
+  #showText;
   #histogram = null;
 
-  constructor(host, said) {
+  constructor(host, showText) {
     this.#host = host;
-    this.#said = said;
+    this.#showText = showText;
   }
 
   get canvas() {
@@ -49,23 +49,23 @@ export class HistogramView {
   draw(histogram) {
     this.#histogram = histogram;
     if (histogram === null || this.#host.clientWidth === 0) {
-      this.#said("No status came yet.");
+      this.#showText("No status came yet.");
       return;
     }
     const { edges, counts, max } = histogram;
     const used = counts.findLastIndex((count) => count > 0);
     const low = edges[0] / 2 / 1e3;
     const high = (edges[Math.min(edges.length - 1, used + 1)] * 1.2) / 1e3;
-    const most = Math.max(10, ...counts);
+    const largest = Math.max(10, ...counts);
     this.#uplot ??= this.#make();
     this.#uplot.batch((u) => {
       u.setScale("x", { min: low, max: high });
-      u.setScale("ticks", { min: 0.8, max: most * 2 });
+      u.setScale("ticks", { min: 0.8, max: largest * 2 });
     });
     const [p50, p99] = [quantile(histogram, 0.5), quantile(histogram, 0.99)];
     const total = counts.reduce((sum, count) => sum + count, 0);
     const late = (ns) => duration(ns * 1e-9);
-    this.#said(
+    this.#showText(
       `Lateness of ${total.toLocaleString("en")} ticks since the daemon started: half below ${late(p50)} (p50), ` +
         `99 of 100 below ${late(p99)} (p99), latest ${late(max)}.`,
     );

@@ -71,10 +71,10 @@ export class Pyramid {
     for (let k = -1; begin < end; k++) {
       const next = k === last ? end : Math.min(end, (begin + BLOCK - 1) & -BLOCK);
       this.#include(k, begin, next);
-      const whole = k === last ? end : Math.max(next, end & -BLOCK);
-      this.#include(k, whole, end);
+      const aligned = k === last ? end : Math.max(next, end & -BLOCK);
+      this.#include(k, aligned, end);
       begin = next / BLOCK;
-      end = whole / BLOCK;
+      end = aligned / BLOCK;
     }
   }
 

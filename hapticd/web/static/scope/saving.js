@@ -33,7 +33,7 @@ export async function savePng(scope) {
               .join(", "),
           )
       : [];
-  const lines = [...readings, scope.said.textContent].filter(Boolean);
+  const lines = [...readings, scope.message.textContent].filter(Boolean);
   const paper = picture(
     from.canvas,
     uPlot.pxRatio,

@@ -48,11 +48,11 @@ function twiddles(n) {
   return found;
 }
 
-export const MOST_SAMPLES = 32768; // in one transform; a longer section is the mean of several transforms that overlap by half
+export const MAX_TRANSFORM_SAMPLES = 32768; // a longer section is the mean of several transforms that overlap by half
 
 // Returns the beginnings of the parts of `count` samples, and their length.
 export function parts(count) {
-  const length = Math.min(count, MOST_SAMPLES);
+  const length = Math.min(count, MAX_TRANSFORM_SAMPLES);
   const begins = [];
   for (let begin = 0; begin + length <= count; begin += Math.floor(length / 2) || 1) {
     begins.push(begin);

@@ -7,7 +7,7 @@ import { addPower, decibels, parts, summarize } from "./spectrum.js";
 
 const MIN_SAMPLES = 16;
 const RANGE_DB = 100;
-const MIN_INTERVAL_MS = 250; // least time between two spectra while the picture runs
+const MIN_INTERVAL_MS = 250; // shortest time between two spectra while the picture runs
 const REFERENCE_UNITS = { force: "N", position: "m", velocity: "m/s" }; // 0 dB: an RMS of 1 of it
 
 // Returns the rows [from, to) for the spectrum of the times left..right: the part without a gap that contains the trigger, a
@@ -25,15 +25,15 @@ export function unbroken(source, left, right, trigger = null) {
 export class SpectrumView {
   #uplot = null;
   #host;
-  #said;
+  #showText;
   #job = null; // the computation under way: one transform a frame
   #begunAt = -Infinity;
   #stale = true; // the data changed since the last computation began
   result = null; // result of the last computation: {id, power, ...}
 
-  constructor(host, said) {
+  constructor(host, showText) {
     this.#host = host;
-    this.#said = said;
+    this.#showText = showText;
   }
 
   get canvas() {
@@ -95,7 +95,7 @@ export class SpectrumView {
     if (this.result === null) {
       this.#uplot?.destroy();
       this.#uplot = null;
-      this.#said(`A spectrum needs at least ${MIN_SAMPLES} samples without a gap.`);
+      this.#showText(`A spectrum needs at least ${MIN_SAMPLES} samples without a gap.`);
       return;
     }
     const { id, power, lineHz, rateHz, length } = this.result;
@@ -114,7 +114,7 @@ export class SpectrumView {
       u.setScale("x", { min: Math.max(lineHz, rateHz / length), max: rateHz / 2 });
       u.setScale("level", { min: top - RANGE_DB, max: top });
     });
-    this.#said(this.#sentence());
+    this.#showText(this.#sentence());
   }
 
   #sentence() {

@@ -63,13 +63,13 @@ function describe({ b, w, c, s }, count, periodS) {
 function beginning(samples, count, enough) {
   const left = new Float64Array(samples.length);
   let best = null;
-  let least = Infinity;
-  for (let stride = 1; 4 * count * stride <= samples.length && !(Math.sqrt(least) < enough); stride *= 2) {
+  let smallest = Infinity;
+  for (let stride = 1; 4 * count * stride <= samples.length && !(Math.sqrt(smallest) < enough); stride *= 2) {
     const modes = predict(samples, count, stride);
     if (modes !== null && amplitudes(samples, modes)) {
       const sum = remainder(samples, modes, left);
-      if (sum < least) {
-        [best, least] = [modes, sum];
+      if (sum < smallest) {
+        [best, smallest] = [modes, sum];
       }
     }
   }

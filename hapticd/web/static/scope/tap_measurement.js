@@ -109,12 +109,12 @@ function scaled(modes, along, lag, periodS) {
 
 // RMS of samples minus closed form, over the RMS of the samples.
 function rmsDifference(modes, along, lag, periodS) {
-  let [left, whole] = [0, 0];
+  let [left, total] = [0, 0];
   along.forEach((value, i) => {
     left += (value - closedForm(modes, lag + i * periodS)) ** 2;
-    whole += value * value;
+    total += value * value;
   });
-  return Math.sqrt(left / whole);
+  return Math.sqrt(left / total);
 }
 
 function curvesOf(modes, endS, onset, direction) {

@@ -2,7 +2,7 @@
 
 const SHRINK_DELAY_MS = 1000; // time after which a range that is too large becomes smaller
 
-// Returns the least of 1, 2 or 5 times a power of ten that is at least `size`.
+// Returns the smallest of 1, 2 or 5 times a power of ten that is at least `size`.
 export function niceStep(size) {
   const power = 10 ** Math.floor(Math.log10(size));
   const share = size / power;
@@ -15,8 +15,8 @@ export class VerticalScale {
   high = 1;
   #smallerSince = null;
 
-  constructor(least) {
-    this.least = least; // the smallest range: smaller ones would show the rounding of the sensor
+  constructor(minRange) {
+    this.minRange = minRange; // the smallest range: smaller ones would show the rounding of the sensor
   }
 
   set(low, high) {
@@ -30,7 +30,7 @@ export class VerticalScale {
     if (!this.automatic || !(low <= high)) {
       return;
     }
-    const room = Math.max(high - low, this.least);
+    const room = Math.max(high - low, this.minRange);
     const middle = (low + high) / 2;
     const step = niceStep(room / 4);
     const bottom = Math.floor((Math.min(low, middle - room / 2) - 0.02 * room) / step) * step;
