@@ -297,7 +297,7 @@ def test_patches_that_touch_after_rounding() -> None:
         "t", {**WALL, "patches": [patch(0.3, 0.5, "steel"), patch(0, edge), patch(-1e-5, 0, "wood")]}
     )
     assert isinstance(wall, Wall)
-    assert list(zip(*wall.sections(), strict=True)) == [
+    assert list(zip(*wall.stretches(), strict=True)) == [
         (-math.inf, "wood"),
         (-1e-5, "wood"),
         (0, "glass"),
@@ -309,7 +309,7 @@ def test_patches_that_touch_after_rounding() -> None:
 def test_sections_of_a_wall() -> None:
     wall = validate_object("t", {**WALL, "patches": [patch(2, 3), patch(-1, 1, "steel")]})
     assert isinstance(wall, Wall)
-    assert list(zip(*wall.sections(), strict=True)) == [
+    assert list(zip(*wall.stretches(), strict=True)) == [
         (-math.inf, "wood"),
         (-1, "steel"),
         (1, "wood"),
@@ -318,7 +318,7 @@ def test_sections_of_a_wall() -> None:
     ]
     plain = validate_object("t", WALL)
     assert isinstance(plain, Wall)
-    assert list(zip(*plain.sections(), strict=True)) == [(-math.inf, "wood")]
+    assert list(zip(*plain.stretches(), strict=True)) == [(-math.inf, "wood")]
 
 
 @pytest.mark.long
@@ -329,7 +329,7 @@ def test_any_order_of_patches_gives_the_same_sections(edges: list[int], random: 
     shuffled = random.sample(patches, len(patches))
     wall = validate_object("t", {**WALL, "patches": list[Json](shuffled)})
     assert isinstance(wall, Wall)
-    assert list(zip(*wall.sections(), strict=True)) == [
+    assert list(zip(*wall.stretches(), strict=True)) == [
         (-math.inf, "wood"),
         *((a / 100, f"m{a}") for a in edges[:-1]),
         (edges[-1] / 100, "wood"),

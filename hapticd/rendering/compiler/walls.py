@@ -74,7 +74,7 @@ class PatchedWalls:
 
         At a boundary, the ramp is limited to the shorter of the two neighbouring pieces.
         """
-        begins, names = wall.sections()
+        begins, names = wall.stretches()
         indices = {name: self._materials.use(name) for name in dict.fromkeys(names)}
         rows = records(PIECE_DTYPE, len(begins))
         lengths = np.diff(begins, append=math.inf)
