@@ -1,7 +1,7 @@
 """The engine: computes the points of a study on the workers of a dask scheduler.
 
-A piece is a group of points that a worker computes as one dask task, in 1 to 10 s (less for the last ones). Only a few
-pieces are submitted at a time, so that a million points are never a million tasks. Only this process writes results; it
+A piece is a group of points that a worker computes as one dask task, in 1 to 10 s (the last pieces in less). Only a few
+pieces are submitted at a time, so that a million points are never a million tasks. Only this process writes results: it
 writes the rows of a piece as soon as they arrive. A worker needs only hapticd and the content of its piece.
 """
 
@@ -28,11 +28,11 @@ from hapticd.sweeps.work import Work
 from hapticd.sweeps.worker_check import code_version
 
 MIN_PIECE_S: Final = 1.0
-"""Shortest computing time of a piece, except for the last ones, in s."""
+"""Shortest computing time of a piece (a group of points) in s; the last pieces of a study may be shorter."""
 MAX_PIECE_S: Final = 10.0
-"""Longest computing time of a piece, in s."""
+"""Longest computing time of a piece (a group of points), in s."""
 MIN_PIECES_PER_THREAD: Final = 20
-"""A study has at least 20 pieces for each thread of a worker, unless these would be shorter than MIN_PIECE_S."""
+"""Each thread of a worker gets at least 20 pieces of a study, unless pieces would be shorter than MIN_PIECE_S."""
 QUEUED_PIECES_PER_THREAD: Final = 2
 """Number of pieces that wait at a worker for each of its threads, besides the one being computed."""
 WORKER_WAIT_S: Final = 30.0
@@ -56,8 +56,8 @@ class Progress:
     total: int
     failed: int
     """Points that were computed and whose row has an error."""
-    left_s: float | None
-    """Estimated remaining time; None if it is unknown."""
+    left_s: float
+    """Estimated remaining time, in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ class _Engine:
     to_retry: deque[Indices] = field(default_factory=deque)
     """Pieces that have to be computed again."""
     suspects: deque[Indices] = field(default_factory=deque)
-    """Points whose worker ended, perhaps because of another piece. At the end each is computed in its own piece."""
+    """Points whose worker ended, perhaps because of other points. At the end each is computed in a separate piece."""
     trying_suspect: bool = False
     submitted: dict[Any, _SubmittedPiece] = field(default_factory=dict)
     """Submitted pieces by their futures."""
@@ -178,7 +178,7 @@ class _Engine:
         return list(usable)
 
     def _threads_of_workers(self) -> dict[str, int]:
-        """Return the number of threads of each worker by address. Raises HapticdError if the scheduler is gone."""
+        """Return the number of threads of each worker by address. Raises HapticdError if the scheduler has ended."""
         try:
             found: dict[str, int] = self.client.nthreads()
         except (OSError, TimeoutError) as error:
@@ -187,7 +187,7 @@ class _Engine:
         return found
 
     def check_versions(self) -> None:
-        """Exclude workers with another code version of hapticd. Workers that join later check theirs in a task."""
+        """Exclude workers with another code version of hapticd. Workers that join later are checked in their tasks."""
         for address, answer in self.client.run(code_version, on_error="return").items():
             if isinstance(answer, OSError):
                 continue  # the worker has ended

@@ -1,4 +1,4 @@
-"""The error of the sampled loop relative to the continuous loop, in closed form (docs/accuracy.md, The closed loop)."""
+"""The error of the sampled loop relative to the continuous loop in closed form (docs/accuracy.md, The closed loop)."""
 
 from __future__ import annotations
 

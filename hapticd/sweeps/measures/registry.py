@@ -69,7 +69,7 @@ def parse_measure(given: str | Mapping[str, Json]) -> Measure:
 
 
 def identity_of(given: str | Mapping[str, Json]) -> Json:
-    """Return the options on which a measure's results depend: of a user's function the source, but not the path."""
+    """Return the options on which a measure's results depend. A user's function counts by its source, not its path."""
     if isinstance(given, str):
         return given
     return {
