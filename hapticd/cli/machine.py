@@ -38,7 +38,7 @@ SCRIPT_PATH_BY_SHELL: Final = {
 """Path of the completion script of each shell, below the prefix of an installation."""
 
 _COMPLETION_CALL: Final = re.compile(r"(_complete \$1|_complete hapticd|\(commandline -t\) hapticd)(?=\))")
-"""End of the call of hapticd in a completion script of click, without the bracket that closes the substitution."""
+"""End of the call of hapticd in a completion script of click, up to the closing bracket of the substitution."""
 
 
 @click.command("doctor", short_help="Check whether this machine is ready.")
