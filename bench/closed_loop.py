@@ -240,7 +240,7 @@ def loops(options: Options, advance: Advance) -> Section:
             "rests. The simulated joystick has no encoder step, dry friction, force resolution or vibration. The "
             f"reference is the closed form of the continuous loop. Each figure is the largest error over {PHASES} "
             "positions of the onset within the tick, in brackets relative to the peak. *Order in T*: the error grows "
-            "with the period T to this power.",
+            "with the period T to this power."
         ],
     )
     for index, (name, loop) in enumerate(LOOPS.items()):

@@ -154,9 +154,7 @@ def _untouched(options: Options, advance: Advance) -> Table:
             cells.append(cost if name == "none" else f"{cost}; {spread(more, '+.1f')}")
         rows.append(cells)
     return Table(
-        "ns a tick without contact; difference to an empty scene, round by round (10 to 90 %)",
-        ["objects", *WAYS],
-        rows,
+        "ns a tick without contact; difference to an empty scene, round by round (10 to 90 %)", ["objects", *WAYS], rows
     )
 
 

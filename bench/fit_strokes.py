@@ -75,12 +75,7 @@ def coverage(kind: str, sets: Sequence[Mapping[str, Sequence[float]]]) -> Iterat
         errors = [value / truth - 1 for value, _, _, truth in (each[name] for each in sets)]
         covered = [low <= truth <= high for _, low, high, truth in (each[name] for each in sets)]
         yield Coverage(
-            kind,
-            name,
-            len(sets),
-            float(np.median(np.abs(errors))),
-            float(np.median(errors)),
-            float(np.mean(covered)),
+            kind, name, len(sets), float(np.median(np.abs(errors))), float(np.median(errors)), float(np.mean(covered))
         )
 
 
@@ -157,12 +152,7 @@ def _grooves(sets: Iterable[int], seed: int) -> Iterator[tuple[Figures, Truths]]
 def _texture(sets: Iterable[int], seed: int) -> Iterator[tuple[Figures, Truths]]:
     for first, random in _seeds(sets, seed):
         peak, mean = GRITS[first // 1000 % len(GRITS)]
-        truths = {
-            "peak_hz": peak,
-            "mean_hz": mean,
-            "velocity_gain_per_s": 24.0,
-            "force_gain_m_per_s2_per_n": 2.4,
-        }
+        truths = {"peak_hz": peak, "mean_hz": mean, "velocity_gain_per_s": 24.0, "force_gain_m_per_s2_per_n": 2.4}
         material = _material(texture={"kind": "stochastic", **truths})
         strokes = [
             texture(material, speed, force, Stylus(seed=first + k, tremor_m_per_s2=0.3), Hand(duration_s=5.0))

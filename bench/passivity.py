@@ -204,10 +204,7 @@ def simulated(case: Case, passivity: Mode) -> Given:
     force = samples["force_n"]  # nothing rings
     touched = (samples["flags"] & Flag.CONTACT) != 0
     return Given(
-        given_j(force, truth[:, :2], touched, case.age),
-        energy_of(state),
-        float(np.hypot(*truth[:, 2:].T).max()),
-        count,
+        given_j(force, truth[:, :2], touched, case.age), energy_of(state), float(np.hypot(*truth[:, 2:].T).max()), count
     )
 
 

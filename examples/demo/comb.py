@@ -158,10 +158,7 @@ def table(found: Combing, material: Material, marks: Marks) -> Table:
     row("spacing, mm", 1e3 * spacing, 1e3 * grooves.spacing_m, 5, 1e-3)
     row("frequency, Hz", strikes.frequency_hz, mode.frequency_hz, 1, 0.01)
     row("decay time, ms", 1e3 * strikes.decay_time_s, 1e3 * mode.decay_time_s, 3, 0.01)
-    for which, speed, limit in (
-        ("", found.speed_m_per_s, 0.01),
-        (" by true speed", found.true_speed_m_per_s, 0.03),
-    ):
+    for which, speed, limit in (("", found.speed_m_per_s, 0.01), (" by true speed", found.true_speed_m_per_s, 0.03)):
         per_speed, per_force = found.gains(speed)
         row(f"velocity gain{which}, 1/s", per_speed, grooves.velocity_gain_per_s, 2, limit)
         row(f"force gain{which}, m/s^2/N", per_force, grooves.force_gain_m_per_s2_per_n, 3, limit)

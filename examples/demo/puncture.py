@@ -15,13 +15,7 @@ from hapticd.config.materials import Material
 
 MATERIAL: Final = "cellophane"
 SKIN: Final = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.02, "material": MATERIAL}
-PATH: Final = [
-    [0.2, 0.0, HOVER_M],
-    [0.5, 0.0, 0.005],
-    [1.7, 0.0, -0.03],
-    [1.9, 0.0, -0.03],
-    [2.3, 0.0, HOVER_M],
-]
+PATH: Final = [[0.2, 0.0, HOVER_M], [0.5, 0.0, 0.005], [1.7, 0.0, -0.03], [1.9, 0.0, -0.03], [2.3, 0.0, HOVER_M]]
 """Waypoints of a hand that presses slowly through the membrane, and returns through the hole."""
 
 

@@ -89,10 +89,7 @@ def test_calibrate_without_what_the_extra_brings(
         ("time_s,acceleration_m_per_s2\n0,1\n1\n", "line 3 must have 2 columns, has 1"),
         ("time_s,a\n" + "0,1\n" * 20, "has no column 'acceleration_m_per_s2'; known: time_s, a"),
         ("time_s,acceleration_m_per_s2\n" + "0,1\n" * 20, "time_s must rise"),
-        (
-            "time_s,acceleration_m_per_s2\n0,1\n1,x\n",
-            'line 3 must hold numbers, holds "x" (a missing sample?)',
-        ),
+        ("time_s,acceleration_m_per_s2\n0,1\n1,x\n", 'line 3 must hold numbers, holds "x" (a missing sample?)'),
     ],
 )
 def test_recordings_that_are_none(capsys: pytest.CaptureFixture[str], content: str | None, problem: str) -> None:

@@ -194,10 +194,7 @@ def test_a_tap_may_mean_its_peaks_or_be_a_table(fits: Fits, capsys: pytest.Captu
 
 
 def test_options_that_exclude_one_another(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
-    for options in (
-        ("--table", "--attack", "first_peak"),
-        ("--two-modes", "--attack", "first_peak"),
-    ):
+    for options in (("--table", "--attack", "first_peak"), ("--two-modes", "--attack", "first_peak")):
         assert "exclude each other" in said(capsys, 2, "fit", "tap", "a.csv", *options)
     assert "--merge needs -o" in said(capsys, 2, "fit", "tap", "a.csv", "--merge")
     assert fits.recordings == []

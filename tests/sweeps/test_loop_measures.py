@@ -86,10 +86,7 @@ def test_a_constant_push_is_no_surface() -> None:
 def test_the_energy_of_a_closed_loop_is_what_the_cores_own_observer_counts(seed: int) -> None:
     """With exact and prompt positions the handle's own are the reported ones."""
     case = draw(seed, "exact")
-    source = case.config("observe") | {
-        "servo": {"rate_hz": case.rate_hz},
-        "operator": {"waypoints": case.waypoints()},
-    }
+    source = case.config("observe") | {"servo": {"rate_hz": case.rate_hz}, "operator": {"waypoints": case.waypoints()}}
     observed = simulated(case, "observe").energy
     found = measured("energy_given", source)
     assert found["energy_given_j"] == pytest.approx(max(0.0, observed.largest_j), rel=1e-9, abs=1e-15)
