@@ -163,7 +163,7 @@ class Stop(threading.Event):
     """The first signal that arrived, SIGINT or SIGTERM; None without a signal."""
 
     def exit_code(self, duration_s: float | None) -> int:
-        """Return 128 + `signal` if a signal ended the command before its duration was over, otherwise 0."""
+        """Return 128 + `signal` if a signal ended a command with a duration, otherwise 0."""
         return 0 if self.signal is None or duration_s is None else 128 + self.signal
 
 

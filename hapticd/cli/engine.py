@@ -57,7 +57,9 @@ def require_engine(where: Where) -> None:
     from hapticd.sweeps.store import require_pyarrow
 
     if where.scheduler is not None and (where.workers is not None or where.threads):
-        raise click.UsageError("--scheduler cannot be combined with --workers or --threads: it has its own workers")
+        raise click.UsageError(
+            "--scheduler cannot be combined with --workers or --threads: a scheduler has separate workers"
+        )
     require_dask()
     require_pyarrow()
 

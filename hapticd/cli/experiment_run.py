@@ -117,13 +117,13 @@ def run_command(
     if len(labels) > 1 and not offline:
         raise click.UsageError("several participants need --offline; on a daemon, run one session after the other", ctx)
     if offline and demo:
-        raise click.UsageError("--offline cannot be combined with --demo: it uses no daemon", ctx)
+        raise click.UsageError("--offline cannot be combined with --demo: --offline uses no daemon", ctx)
     if telemetry is not None and not offline:
         raise click.UsageError(
             "--telemetry and --no-telemetry need --offline; on a daemon telemetry is always kept", ctx
         )
     if lsl and offline:
-        raise click.UsageError("--lsl cannot be combined with --offline: it needs a daemon, in real time", ctx)
+        raise click.UsageError("--lsl cannot be combined with --offline: --lsl needs a daemon, in real time", ctx)
     engine = Where(**where)
     in_parallel = count is not None or engine != Where(None, False, None, False)
     if in_parallel and not offline:

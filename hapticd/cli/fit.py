@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from hapticd.sweeps.batches.ranking import MaterialResult
 
 _MAX_RANKING_ROWS: Final = 100
-"""Largest number of rows of a printed ranking."""
+"""Maximum number of rows of a printed ranking."""
 _REDIRECTED_RANKING_WIDTH: Final = 4096
 """Largest width of a ranking that is not printed to a terminal, in characters."""
 
@@ -173,7 +173,7 @@ def _run(
     # Arguments are checked before any file is read.
     require_scipy()
     if merge and output is None:
-        raise click.UsageError("--merge needs -o, the file that it adds to")
+        raise click.UsageError("--merge needs -o, the file to which the material is added")
     name = name if name is not None else kind if output is None else Path(output).stem
     validate_materials({name: {"stiffness_n_per_m": STIFFNESS_N_PER_M}})
     if len(files) > MAX_PROVENANCE_FILES:

@@ -54,4 +54,4 @@ demo_option = click.option(
 def refuse_another_daemon(ctx: click.Context) -> None:
     """Raise UsageError if --demo is combined with --runtime-dir, which names another daemon."""
     if ctx.find_root().get_parameter_source("runtime_dir") == ParameterSource.COMMANDLINE:
-        raise click.UsageError("--demo cannot be combined with --runtime-dir: it starts a separate daemon", ctx)
+        raise click.UsageError("--demo cannot be combined with --runtime-dir: --demo starts a separate daemon", ctx)

@@ -25,7 +25,7 @@ Complete: TypeAlias = "Callable[[click.Context, click.Parameter, str], list[Comp
 _COMPLETION_TIMEOUT_S: Final = 0.3
 """Longest wait for an answer of the daemon, in s."""
 _UNQUOTED_NAME: Final = re.compile(r"[\w.+-]+")
-"""File names that no shell has to quote; others are not offered."""
+"""File names that need no quotes in any shell; other names are not offered."""
 
 
 def _completion_of(known: Callable[[click.Context], Iterable[str]], otherwise: str | None = None) -> Complete:

@@ -25,7 +25,7 @@ _OTHER_RESULTS_BY_KIND: Final = {
     "batch": "results of hapticd fit batch; see its report.html",
     "participants": "sessions of simulated participants; use: hapticd experiment analyze",
 }
-"""For the result folders of other commands, by the kind of their study: the content, and the command that shows it."""
+"""What result folders of other commands contain, and how to show it, by the `kind` in study.json."""
 
 
 @click.command("show", short_help="Show the results of a sweep.")

@@ -54,7 +54,7 @@ def web_command(
     if demo:
         refuse_another_daemon(ctx)
     if configs and not demo:
-        raise click.UsageError("--config needs --demo: a running daemon has its configuration", ctx)
+        raise click.UsageError("--config needs --demo: a running daemon already has a configuration", ctx)
     from hapticd.protocol.places import place_of
     from hapticd.web.process import Options, run
 

@@ -35,7 +35,7 @@ _READABLE_UNITS: Final[dict[str, tuple[tuple[float, float, str], ...]]] = {
     "kg": ((1.0, 1e3, "g"),),
     "us": ((math.inf, 1.0, "µs"),),
 }
-"""For each unit, tuples (limit, factor, other unit): values below the limit are multiplied by factor for the other."""
+"""For each unit, tuples (limit, factor, other unit): values all below limit are shown times factor, in the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ def shown(value: Value) -> str:
 
 
 def key_scale(results: Results, name: str) -> Scale:
-    """Return the scale of a varied key: logarithmic if its values are spaced logarithmically."""
+    """Return the scale of a varied key: categories for texts, else linear or logarithmic as its values are spaced."""
     column, values = results.column(name), results.values(name)
     if column.kind in ("text", "boolean"):
         return Scale(results.words(name), "categories", categories=tuple(values))
@@ -164,7 +164,7 @@ def _scale(words: str, column: Column, numbers: Floats, logarithmic: bool, shows
 
 
 def _geometric(numbers: Floats) -> bool:
-    """Return whether the ratios of successive numbers vary less than the differences of successive numbers."""
+    """Return whether the ratios of successive numbers vary relatively less than their differences."""
     if len(numbers) < 3 or numbers.min() <= 0:
         return False
     steps, ratios = np.diff(numbers), np.diff(np.log(numbers))

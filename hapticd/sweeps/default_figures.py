@@ -13,7 +13,7 @@ from hapticd.sweeps.results import Results
 MAX_DEFAULT_FIGURES: Final = 6
 """Largest number of default figures."""
 _MIN_MAP_VALUES: Final = 5
-"""Two keys with at least 5 values each are drawn as a map; with fewer values, one line for each is clearer."""
+"""Two keys with at least 5 values each are drawn as a map; with fewer values, a line for each value is clearer."""
 
 
 def default_figures(results: Results) -> list[SweepFigure]:

@@ -34,13 +34,13 @@ MAX_PIECE_S: Final = 10.0
 MIN_PIECES_PER_THREAD: Final = 20
 """Each thread of a worker gets at least 20 pieces of a study, unless pieces would be shorter than MIN_PIECE_S."""
 QUEUED_PIECES_PER_THREAD: Final = 2
-"""Number of pieces that wait at a worker for each of its threads, besides the one being computed."""
+"""Number of pieces that wait at a worker for each of its threads, in addition to the piece that is computed."""
 WORKER_WAIT_S: Final = 30.0
 """Time in s after which a study ends if the scheduler has no workers."""
 WORKER_POLL_S: Final = 1.0
 """Interval in s at which the list of workers is read while no piece finishes."""
-WORKERS_ENDED_REASON: Final = "every worker that computed it ended: too little memory, or a crash"
-"""Error of a point if every worker that computed it ended."""
+WORKERS_ENDED_REASON: Final = "every worker that computed this point ended: too little memory, or a crash"
+"""Error in the row of a point that ended all its workers."""
 MIN_LAST_PIECE_S: Final = 0.1
 """Shortest computing time in s of the last pieces, which are made short so that all workers finish together."""
 
@@ -172,7 +172,7 @@ class _Engine:
             known = self._threads_of_workers()
         usable = {each: threads for each, threads in known.items() if each not in self.refused}
         if not usable:
-            why = "none of its workers runs this hapticd" if known else "it has no workers"
+            why = "none of its workers runs this version of hapticd" if known else "it has no workers"
             raise HapticdError(f"{self.client.scheduler.address}: the scheduler cannot be used: {why}")
         self.threads = sum(usable.values())
         return list(usable)

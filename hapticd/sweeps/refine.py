@@ -58,7 +58,7 @@ def holds(refine: SweepRefine, row: Row) -> bool:
     column = condition.column if isinstance(condition, SweepCondition) else condition
     value = row[column]
     if value is None or isinstance(value, str):
-        raise HapticdError(f"refine.holds cannot be evaluated: {column} has no value here")
+        raise HapticdError(f"refine.holds cannot be evaluated: {column} has no value at this point")
     if isinstance(condition, str):
         return bool(value)
     if condition.at_most is not None and not value <= condition.at_most:

@@ -41,9 +41,9 @@ PIECES_FOLDER: Final = "pieces"
 _ROWS_IN_MEMORY: Final = 500
 """Maximum number of rows that are Python objects at the same time."""
 _PARTIAL_PIECE: Final = re.compile(r"\.[0-9a-f]{32}\.parquet\.\d+\.[0-9a-f]{16}\.part")
-"""Name of a temporary file that a killed process may leave behind."""
+"""Pattern of the name of a temporary file that a killed process may leave behind."""
 _POINT_ID: Final = re.compile(r"[0-9a-f]{32}")
-"""The identity of a point as text."""
+"""Pattern of the identity of a point as text: 32 hexadecimal digits."""
 
 
 def require_pyarrow() -> None:

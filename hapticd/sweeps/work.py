@@ -11,7 +11,7 @@ from hapticd.base.yaml_source import Json
 from hapticd.sweeps.columns import Column, Row
 
 ID_DTYPE: Final = np.dtype("V16")
-"""Identity of a point: a hash of 16 bytes of everything on which its result depends."""
+"""Data type of the identity of a point: a hash of 16 bytes of everything that the point's result depends on."""
 
 
 class Piece(Protocol):

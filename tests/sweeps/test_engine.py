@@ -130,7 +130,7 @@ def test_without_a_usable_worker_the_study_ends_with_the_reason(tmp_path: Path) 
     with (
         scheduler(OTHER_VERSION) as running,
         connected(running.address, 1) as client,
-        pytest.raises(HapticdError, match="cannot be used: none of its workers runs this hapticd"),
+        pytest.raises(HapticdError, match="cannot be used: none of its workers runs this version of hapticd"),
     ):
         ran(Roots(10), tmp_path, nullcontext(client))
 
@@ -151,7 +151,7 @@ def test_a_point_that_ends_its_worker_is_a_row_with_its_reason(tmp_path: Path) -
     outcome, store, _, _ = ran(Roots(40, "exits"), tmp_path, client_of(None, 2, False))
     assert (outcome.computed, outcome.failed) == (40, 1)
     rows = {row["n"]: row for row in store.table().to_pylist()}
-    assert rows.pop(None)["error"].startswith("every worker that computed it ended")
+    assert rows.pop(None)["error"].startswith("every worker that computed this point ended")
     assert set(rows) == set(range(40)) - {BAD} and all(row["error"] is None for row in rows.values())
 
 

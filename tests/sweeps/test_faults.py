@@ -94,7 +94,7 @@ def test_a_point_that_takes_all_memory_is_a_row(fault: Fault, tmp_path: Path, mo
     outcome, store, _, _ = ran(Roots(20, fault), tmp_path, client_of(None, 2, False))
     assert (outcome.computed, outcome.failed) == (20, 1)
     (failed,) = (row for row in store.table().to_pylist() if row["error"] is not None)
-    assert failed["error"] == "every worker that computed it ended: too little memory, or a crash"
+    assert failed["error"] == "every worker that computed this point ended: too little memory, or a crash"
 
 
 def test_a_point_that_is_refused_memory_is_a_row(tmp_path: Path) -> None:

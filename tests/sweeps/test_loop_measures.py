@@ -184,7 +184,7 @@ def test_the_error_is_of_first_order_in_the_period() -> None:
         ({"sim": {"coulomb_friction_n": 0.1}}, "device.sim.coulomb_friction_n: 0"),
         ({"objects": {"other": {**FLOOR, "normal": [1, 0]}}}, "the scene must have one wall, has 2"),
         ({"objects": {"honey": {"kind": "viscous", "damping_n_s_per_m": 1}}}, "honey is neither"),
-        ({"material": {"friction": {"coefficient": 0.3}}}, "a wall without friction: m has one"),
+        ({"material": {"friction": {"coefficient": 0.3}}}, "a wall without friction: the material m has friction"),
         (
             {"material": {"tap": {"attack_slope_per_s": 100, "frequency_hz": 100, "decay_time_s": 0.01}}},
             "scene.display.vibration: false",

@@ -153,7 +153,7 @@ def test_every_column_of_a_measure_has_a_description() -> None:
         ({"quantile": {"field": "forces", "q": 0.5}}, "quantile.field: should be 'position_m', 'velocity_m_per_s', "),
         ({"end": {"longest_s": 0}}, "end.longest_s: should be greater than or equal to 0.5, is 0"),
         ({"end": 3}, "end: must be a mapping of options"),
-        ({"end": {}, "quantile": {}}, "must be a name, or one name with its options, has 2 keys"),
+        ({"end": {}, "quantile": {}}, "must be a name or {name: options}, has 2 keys"),
         ({"peak_force_n": {"axis": "x"}}, "peak_force_n.axis: unknown key"),
     ],
 )

@@ -59,7 +59,7 @@ def test_conditions() -> None:
     assert holds(limit, {"given_j": 0.1}) and not holds(limit, {"given_j": 0.2})
     least = refine(holds={"column": "given_j", "at_least": 0.1})
     assert holds(least, {"given_j": 0.1}) and not holds(least, {"given_j": 0.05})
-    with pytest.raises(HapticdError, match="given_j has no value here"):
+    with pytest.raises(HapticdError, match="given_j has no value at this point"):
         holds(limit, {"given_j": None})
 
 

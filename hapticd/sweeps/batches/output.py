@@ -26,7 +26,7 @@ from hapticd.sweeps.batches.ranking import MaterialResult
 from hapticd.sweeps.store import STUDY_FILE
 
 _DATE_ENTRY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
-"""The date of a fit in a material's file."""
+"""Pattern of the date of a fit in a material's file."""
 _MAX_SHOWN_NAMES: Final = 3
 """Maximum number of file names in a line of text."""
 

@@ -34,7 +34,7 @@ COMPARED_FIGURES: Final[Mapping[Kind, tuple[str, ...]]] = {
 QUALITY_COLORS: Final[Mapping[Quality, str]] = {"good": "C2", "fair": "C1", "poor": "C3", "refused": "C7"}
 """matplotlib's color for each verdict."""
 MAX_INTERVAL_RATIO: Final = 1.5
-"""Confidence intervals in a plot are cut at 1.5 times its largest value."""
+"""Confidence intervals in a plot are cut at 1.5 times the largest estimate in the plot."""
 
 
 def write_page(

@@ -18,7 +18,7 @@ from hapticd.sweeps.point import Point
 
 Floats = npt.NDArray[np.float64]
 _PERIOD_TOLERANCE: Final = 1e-9
-"""The age of positions, in periods, is rounded up to an integer only if it exceeds one by more than this."""
+"""Tolerance in periods: an age of positions that exceeds an integer by at most this is not rounded up."""
 
 
 def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], max_gap_ticks: int = 0) -> float:
