@@ -1,4 +1,4 @@
-"""What can be measured, and the pages that it is written into: `make bench`, `hapticd bench` or `python -m bench`."""
+"""All benchmarks, and the pages into which their results are written."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ from hapticd.cli import main
 
 DOCS = ROOT / "docs"
 ACCURACY, SPEED, DEVICES = "accuracy.md", "benchmarks.md", "devices.md"
-NEEDED = ("distributed", "matplotlib", "pyarrow", "scipy")
+REQUIRED_MODULES = ("distributed", "matplotlib", "pyarrow", "scipy")
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Something that is measured: what, how, and on which page it stands."""
+    """A benchmark: its description, its function, and the page of its section."""
 
     about: str
     run: Callable[[Options, Advance], Section]
@@ -74,7 +74,7 @@ MEASUREMENTS: dict[str, Measurement] = {
 
 
 def unknown(names: Sequence[str]) -> str | None:
-    """What is wrong with these names, as one line."""
+    """Return an error for the first name that no benchmark has; None if all are known."""
     for name in names:
         if name not in MEASUREMENTS:
             return f"unknown benchmark {name}; known: {', '.join(MEASUREMENTS)}"
@@ -82,23 +82,25 @@ def unknown(names: Sequence[str]) -> str | None:
 
 
 def listed() -> str:
-    """The names and what they measure, a line each."""
+    """Return a line for each benchmark: its name, description and page."""
     return "\n".join(f"  {name:10s} {each.about} ({each.page})" for name, each in MEASUREMENTS.items())
 
 
 @dataclass(slots=True)
 class Found:
-    """The sections of each page, and what could not be measured."""
+    """The results of a run."""
 
     pages: dict[str, list[Section]]
+    """The sections of each page."""
     failed: list[str]
-    took_s: float = 0.0
+    """Names of the benchmarks that failed."""
+    duration_s: float = 0.0
 
 
 def _measure(console: Console, names: Sequence[str], options: Options, on: str | None = None) -> Found:
-    """Everything, shown as it comes. What fails says so in its place; the rest goes on.
+    """Run benchmarks, and print each section as soon as it is complete. The section of a failed one has its error.
 
-    Each section ends with its command; `on` is added to it, the machine that a part was measured on.
+    Each section ends with its command, and with `on`, the machine, if only some benchmarks are run.
     """
     found = Found({}, [])
     begin = time.monotonic()
@@ -108,7 +110,7 @@ def _measure(console: Console, names: Sequence[str], options: Options, on: str |
         started = time.monotonic()
         if not console.is_terminal:
             console.print(f"{number}/{len(names)} {name}: {each.about}", highlight=False)
-        # Redrawing is work beside what is measured.
+        # Redrawn rarely, since drawing takes processor time from the measurement.
         with Progress(*columns, console=console, transient=True, refresh_per_second=1) as progress:
             task = progress.add_task(name, total=1.0)
 
@@ -120,33 +122,33 @@ def _measure(console: Console, names: Sequence[str], options: Options, on: str |
             except Exception as error:
                 traceback.print_exc()
                 found.failed.append(name)
-                told = " ".join(str(error).split()) or type(error).__name__
-                section = Section(name, [f"**Not measured:** {told}"])
-        took = f"`python -m bench {name}`, {time.monotonic() - started:.0f} s"
-        section.parts.append(took if on is None else f"{took}, measured separately: {on}")
+                why = " ".join(str(error).split()) or type(error).__name__
+                section = Section(name, [f"**Not measured:** {why}"])
+        command = f"`python -m bench {name}`, {time.monotonic() - started:.0f} s"
+        section.parts.append(command if on is None else f"{command}, measured separately: {on}")
         found.pages.setdefault(each.page, []).append(section)
         section.show(console)
-    found.took_s = time.monotonic() - begin
+    found.duration_s = time.monotonic() - begin
     return found
 
 
 def replaced(page: str, sections: Sequence[Section]) -> str:
-    """A page in which these sections stand instead of those of the same title; after the others where there is none."""
+    """Return a page with `sections` in place of those with the same titles. Sections with new titles come last."""
     head, *others = re.split(r"^(?=## )", page, flags=re.MULTILINE)
     parts = {other.partition("\n")[0]: other for other in others}
     parts |= {f"## {section.title}": section.markdown() for section in sections}
     return "\n\n".join(part.strip() for part in (head, *parts.values())) + "\n"
 
 
-def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
-    """The pages, into a folder; their files. What is not all of a page goes into the one that is there."""
-    took = f"The complete run took {found.took_s / 60:.0f} minutes ({found.took_s:.0f} s)."
+def _write(found: Found, folder: Path, on: str, complete: bool) -> list[Path]:
+    """Write pages into a folder and return their paths; unless `complete`, replace only sections of existing pages."""
+    duration = f"The complete run took {found.duration_s / 60:.0f} minutes ({found.duration_s:.0f} s)."
     heads = {
         ACCURACY: (
             "Accuracy",
             "Errors of rendering, display and fitting, against arbitrary precision or a closed form. [Algorithms and "
             "their alternatives](alternatives.md) compares cost and error of each kernel with other methods, measured "
-            f"once. `make bench` (`hapticd bench`) writes this page. {on} {took} Variants are measured in turns "
+            f"once. `make bench` (`hapticd bench`) writes this page. {on} {duration} Variants are measured in turns "
             "(interleaved) in one process, and ratios are taken round by round within one run. A cost is the median "
             "over the rounds, with the tenth to the ninetieth percentile in brackets. [Benchmarks](benchmarks.md) has "
             "the times of wake-ups, commands and scenes. The command at the end of a section repeats the section's "
@@ -155,21 +157,21 @@ def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
         SPEED: (
             "Benchmarks",
             "This page has times and rates, [Accuracy](accuracy.md) the errors of rendering. `make bench` writes "
-            f"this page; ratios are taken within one run. {on} {took} Other guests share the machine, so medians and "
-            "ratios are meaningful, but the highest percentiles are not. A figure is the median over repetitions, "
+            f"this page; ratios are taken within one run. {on} {duration} Other guests share the machine, so medians "
+            "and ratios are meaningful, but the highest percentiles are not. A figure is the median over repetitions, "
             "with the tenth to the ninetieth percentile in brackets: (10 to 90 %).",
         ),
     }
     written = []
     for page, sections in found.pages.items():
         if page == DEVICES:
-            # A part of a page that is written by hand.
+            # The rest of this page is written by hand.
             if folder == DOCS and not found.failed:
                 link.write_into(DOCS / DEVICES, sections[0])
                 written.append(DOCS / DEVICES)
             continue
         title, about = heads[page]
-        if not whole and (folder / page).exists():
+        if not complete and (folder / page).exists():
             (folder / page).write_text(
                 replaced((folder / page).read_text(encoding="utf-8"), sections), encoding="utf-8"
             )
@@ -182,30 +184,31 @@ def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
 
 
 def perform(names: Sequence[str], options: Options, out: Path | None, overwrite: bool = False) -> int:
-    """Measures what was asked for; the exit code. Raises HapticdError, of pages that are there and not to be replaced
-    before anything is measured."""
-    missing = [module for module in NEEDED if find_spec(module) is None]
+    """Run the named benchmarks, or all without a name, write the pages into `out`, and return the exit code.
+
+    Raises HapticdError before the first measurement if pages exist and `overwrite` is not set.
+    """
+    missing = [module for module in REQUIRED_MODULES if find_spec(module) is None]
     if missing:
         raise HapticdError(f"the benchmarks need {', '.join(missing)}: pip install -e '.[dev]' in the source tree")
     chosen = [name for name in MEASUREMENTS if name in names] or list(MEASUREMENTS)
     on = machine()
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(on, markup=False, highlight=False)
-    whole = chosen == list(MEASUREMENTS) and not options.quick
+    complete = chosen == list(MEASUREMENTS) and not options.quick
     if overwrite and out is None and options.quick:
         raise HapticdError("--quick measures too little for docs: give another folder with --out, or no --overwrite")
-    folder = out or (DOCS if whole or overwrite else None)
+    folder = out or (DOCS if complete or overwrite else None)
     if folder is not None:
         for page in sorted({MEASUREMENTS[name].page for name in chosen} - {DEVICES}):
             if (folder / page).exists():
                 check_new(folder / page, overwrite)
-    if folder is not None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise HapticdError(f"{folder}: cannot be made: {error.strerror}") from None
+            raise HapticdError(f"{folder}: cannot be created: {error.strerror}") from None
     found = _measure(console, chosen, options, None if chosen == list(MEASUREMENTS) else on)
-    console.print(f"\n{len(chosen)} measurements in {found.took_s:.0f} s", highlight=False)
+    console.print(f"\n{len(chosen)} measurements in {found.duration_s:.0f} s", highlight=False)
     if folder is not None:
         for path in _write(found, folder, on, chosen == list(MEASUREMENTS)):
             console.print(f"written: {path}", highlight=False)

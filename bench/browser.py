@@ -1,6 +1,6 @@
-"""The page in a browser, the servo at 10 kHz: frames, and how late force, picture and sound are.
+"""The page in a browser, with the servo at 10 kHz: frame rate, and latency of force, picture and sound.
 
-Needs Chromium and playwright, which is one of the packages for development.
+Needs Chromium and playwright, a package for development.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 PRESSED_M = (-0.005, -0.009)
-"""Where the pointer goes to and fro between, below the floor."""
-MOVES_A_S = 8
+"""The two heights below the floor between which the pointer moves."""
+MOVES_PER_S = 8
 LATENCIES_MS = (
     ("from pointer to force", "pointer_to_force_ms", 30.0),
     ("from sample to pixel", "sample_to_pixel_ms", 100.0),
 )
-AIM_FRAMES, AIM_SOUND_MS, AIM_TAP_S = 50.0, 150.0, 10.0
+AIM_FRAMES_PER_S, AIM_SOUND_MS, AIM_TAP_S = 50.0, 150.0, 10.0
 _TAP = {"kind": "tap", "object": "floor", "at_m": 0.0, "speed_m_per_s": 0.2}
 
 
 def first_tap(page: Page) -> None:
-    """A tap is seen in the oscilloscope."""
+    """Let the hand tap, and wait until the oscilloscope shows the tap."""
     page.evaluate("() => hapticd.safety.engage()")
     page.evaluate("() => hapticd.scope.actions.catchTap()")
     page.evaluate("(gesture) => hapticd.link.call('set_operator', { gesture })", _TAP)
@@ -37,7 +37,7 @@ def first_tap(page: Page) -> None:
 
 
 def stroked(page: Page, seconds: float) -> dict[str, Any]:
-    """What the page measured of itself while its pointer pressed the floor more and less."""
+    """Move the pointer below the floor for `seconds`, and return the timing that the page measured."""
     from tests.web.drawing import on_page
 
     page.evaluate("() => hapticd.sound.start()")
@@ -46,9 +46,9 @@ def stroked(page: Page, seconds: float) -> dict[str, Any]:
     page.mouse.move(*on_page(page, [0.01, PRESSED_M[0]]), steps=10)
     page.wait_for_function("() => hapticd.scene.moments.newest.contact[1] > 0.5")
     page.evaluate("() => hapticd.timing.start()")
-    for index in range(round(seconds * MOVES_A_S)):
+    for index in range(round(seconds * MOVES_PER_S)):
         page.mouse.move(*on_page(page, [0.01, PRESSED_M[(index + 1) % 2]]))
-        time.sleep(1 / MOVES_A_S)
+        time.sleep(1 / MOVES_PER_S)
     found: dict[str, Any] = page.evaluate("() => hapticd.timing.report()")
     found["sound"] = page.evaluate("() => hapticd.sound.latency()")
     page.mouse.up()
@@ -56,7 +56,7 @@ def stroked(page: Page, seconds: float) -> dict[str, Any]:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """The table of it."""
+    """Start the demo several times, and return the section with latencies and frame rate."""
     from tests.web.browser import NAMES, WIDE, Pages, running_browser, running_demo
 
     if not any(map(shutil.which, NAMES)):
@@ -88,7 +88,7 @@ def run(options: Options, advance: Advance) -> Section:
             "",
             verdict(middle_s, AIM_TAP_S),
         ],
-        ["frames a second", f"{frames:.1f}", "", verdict(frames, AIM_FRAMES, above=True)],
+        ["frames a second", f"{frames:.1f}", "", verdict(frames, AIM_FRAMES_PER_S, above=True)],
     ]
     for words, key, aim in LATENCIES_MS:
         each = found[key]
@@ -101,7 +101,7 @@ def run(options: Options, advance: Advance) -> Section:
             Table(
                 "Chromium, headless, no graphics processor, 1280 x 800, scene and oscilloscope drawn, sound on, "
                 f"servo at 10 kHz on the same machine; {seconds:g} s; aims of the rows: {AIM_TAP_S:g} s, "
-                f"{AIM_FRAMES:g}, 30 ms and 100 ms (p95), {AIM_SOUND_MS:g} ms",
+                f"{AIM_FRAMES_PER_S:g}, 30 ms and 100 ms (p95), {AIM_SOUND_MS:g} ms",
                 ["", "median", "p95", "reached"],
                 rows,
             ),

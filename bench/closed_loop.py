@@ -1,11 +1,11 @@
 """The closed loop against its continuous closed form: error over rate.
 
-The loop is `hapticd.simulate` without what is not the hold's doing: no encoder step, no dry friction, no rounding of
-the force, no vibration. A hand draws a mass onto a wall; along the normal
+The loop is `hapticd.simulate`. Its only errors are those of the zero-order hold: the joystick has no encoder step, dry
+friction, force rounding or vibration. A hand pulls a mass onto a wall; along the normal
 
     M y'' = k (w - y) + b_h (w' - y') - b y' + F,        F = -K y - D y' inside the wall, 0 outside,
 
-with the hand's reference w a straight line in time. Every stretch between two events has the closed form
+where the hand's reference w is linear in time. Between two events the motion has the closed form
 
     y(t) = alpha + beta t + c1 exp(p1 t) + c2 exp(p2 t),      M p^2 + (b + b_h + D) p + (k + K) = 0.
 """
@@ -23,13 +23,14 @@ from hapticd.rendering.offline import simulate_run
 
 RATES_HZ = (1000.0, 2000.0, 5000.0, 10_000.0)
 PHASES = 16
-"""Onsets at as many places within a tick; what is told is the worst."""
+"""Number of positions of the onset within a tick; the worst result is reported."""
 SUBTICKS = 16
+"""Number of times in each tick at which the held force is compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """A hand on a handle in front of a wall at y = 0. SI units."""
+    """A hand, a handle and a wall at y = 0. SI units."""
 
     stiffness: float
     damping: float = 0.0
@@ -43,18 +44,18 @@ class Loop:
     resting_s: float = 0.05
 
     @property
-    def lasting_s(self) -> float:
-        """How long a run lasts: the reference moves, then rests."""
+    def duration_s(self) -> float:
+        """Duration of a run: the reference moves, then rests."""
         return self.moving_s + self.resting_s
 
     def waypoints(self) -> list[list[float]]:
-        """The hand's reference [t_s, x_m, y_m]."""
+        """Return the waypoints of the hand's reference, rows [t_s, x_m, y_m]."""
         end = self.start - self.speed * self.moving_s
-        return [[0.0, 0.0, self.start], [self.moving_s, 0.0, end], [self.lasting_s, 0.0, end]]
+        return [[0.0, 0.0, self.start], [self.moving_s, 0.0, end], [self.duration_s, 0.0, end]]
 
 
-class Stretched:
-    """The closed form of one stretch: the reference is `reference + rate t`, the motion begins at y, v."""
+class Segment:
+    """The motion between two events in closed form: it begins at y and v; the reference is `reference + rate t`."""
 
     def __init__(self, loop: Loop, inside: bool, reference: float, rate: float, y: float, v: float) -> None:
         mass = loop.mass
@@ -67,7 +68,7 @@ class Stretched:
         self.c = np.linalg.solve(np.array([[1, 1], self.p]), np.array([y - self.alpha, v - self.beta], dtype=complex))
 
     def at(self, time_s: Floats | float) -> tuple[Floats, Floats]:
-        """Position and velocity, each of the shape of `time_s`."""
+        """Return height in m and speed in m/s, each of the shape of `time_s`."""
         t = np.asarray(time_s, dtype=np.float64)
         grown = self.c * np.exp(t[..., None] * self.p)
         y: Floats = self.alpha + self.beta * t + grown.sum(-1).real
@@ -76,12 +77,12 @@ class Stretched:
 
 
 class Continuous:
-    """The whole run: free, inside under a moving reference, then under a resting one; it stays inside."""
+    """A run in closed form: free, then pressed with a moving reference, then with a resting one."""
 
     def __init__(self, loop: Loop, onset: tuple[float, float] | None = None) -> None:
-        """`onset`: time and velocity of the onset, where they are not the loop's own."""
+        """Compute the three segments; `onset` replaces time and velocity of the computed onset."""
         self.loop = loop
-        free = Stretched(loop, False, loop.start, -loop.speed, loop.start, 0.0)
+        free = Segment(loop, False, loop.start, -loop.speed, loop.start, 0.0)
         if onset is None:
             low, high = 0.0, loop.moving_s
             while high - low > 1e-16:
@@ -92,25 +93,25 @@ class Continuous:
             onset = high, float(free.at(high)[1])
         self.onset_s = onset[0]
         reference = loop.start - loop.speed * self.onset_s
-        pressed = Stretched(loop, True, reference, -loop.speed, 0.0, onset[1])
+        pressed = Segment(loop, True, reference, -loop.speed, 0.0, onset[1])
         y, v = pressed.at(loop.moving_s - self.onset_s)
-        held = Stretched(loop, True, loop.start - loop.speed * loop.moving_s, 0.0, float(y), float(v))
-        self._stretches = ((0.0, free), (self.onset_s, pressed), (loop.moving_s, held))
+        held = Segment(loop, True, loop.start - loop.speed * loop.moving_s, 0.0, float(y), float(v))
+        self._segments = ((0.0, free), (self.onset_s, pressed), (loop.moving_s, held))
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
-        """Position, velocity and the wall's force at times [n]."""
+        """Return height in m, speed in m/s and the wall's force in N at n times, each (n,)."""
         y, v = np.empty_like(time_s), np.empty_like(time_s)
-        begins = [begin for begin, _ in self._stretches]
+        begins = [begin for begin, _ in self._segments]
         which = np.searchsorted(begins, time_s, side="right") - 1
-        for index, (begin, stretch) in enumerate(self._stretches):
+        for index, (begin, segment) in enumerate(self._segments):
             here = which == index
-            y[here], v[here] = stretch.at(time_s[here] - begin)
+            y[here], v[here] = segment.at(time_s[here] - begin)
         force: Floats = np.where(which > 0, -self.loop.stiffness * y - self.loop.damping * v, 0.0)
         return y, v, force
 
 
 def simulated(loop: Loop, rate_hz: float, delay_s: float = 0.0) -> tuple[Floats, Floats, Floats]:
-    """The servo in the loop: times [n], the handle's true height [n], the force along the normal [n]."""
+    """Simulate the sampled loop; return times in s, true heights in m and normal forces in N, each (n,)."""
     hand_mass = 0.2 * loop.mass
     config = {
         "device": {
@@ -133,7 +134,7 @@ def simulated(loop: Loop, rate_hz: float, delay_s: float = 0.0) -> tuple[Floats,
         "materials": {"plain": {"stiffness_n_per_m": loop.stiffness, "damping_n_s_per_m": loop.damping}},
         "scene": {"objects": {"floor": FLOOR}, "display": {"force": True, "vibration": False}},
     }
-    run = simulate_run(config, loop.waypoints(), loop.lasting_s, rate_hz)
+    run = simulate_run(config, loop.waypoints(), loop.duration_s, rate_hz)
     assert run.truth is not None
     time_s = np.arange(len(run.samples)) / rate_hz
     return time_s, run.truth[:, 1].copy(), run.samples["force_n"][:, 1].copy()
@@ -141,30 +142,30 @@ def simulated(loop: Loop, rate_hz: float, delay_s: float = 0.0) -> tuple[Floats,
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """Worst over the onset's place in the tick; force in N, penetration in m."""
+    """The worst errors over all positions of the onset within the tick."""
 
     force_n: float
     """Largest difference of the force at a tick."""
     penetration_m: float
     """Largest difference of the penetration at a tick."""
     held_n: float
-    """Mean absolute difference, between ticks too, of the force that is held from the one at that time."""
+    """Mean absolute difference of the held force from the true force, also between ticks."""
 
 
 def placed(loop: Loop, rate_hz: float, phase: int) -> Loop:
-    """The same approach, its onset moved within the tick."""
+    """Return the loop with its onset moved by phase/PHASES of a tick."""
     return dataclasses.replace(loop, start=loop.start + loop.speed / rate_hz * phase / PHASES)
 
 
 def error(loop: Loop, rate_hz: float, delay_periods: int = 0) -> Error:
-    """Servo less closed form, from the onset on."""
+    """Return the errors of the sampled loop relative to the closed form, from the onset on."""
     worst = np.zeros(3)
     for phase in range(PHASES):
         case = placed(loop, rate_hz, phase)
         truth = Continuous(case)
         time_s, y, force = simulated(case, rate_hz, delay_periods / rate_hz)
         y_true, _, force_true = truth.at(time_s)
-        # The middles of SUBTICKS parts of each tick.
+        # The middles of SUBTICKS intervals of each tick.
         between = (time_s[:, None] + (np.arange(SUBTICKS) + 0.5) / SUBTICKS / rate_hz).ravel()
         inside = between > truth.onset_s
         held = np.abs(np.repeat(force, SUBTICKS) - truth.at(between)[2])[inside]
@@ -174,9 +175,9 @@ def error(loop: Loop, rate_hz: float, delay_periods: int = 0) -> Error:
 
 
 def without_hold(loop: Loop, rate_hz: float) -> float:
-    """Largest difference in penetration from a continuous loop whose wall has K T/2 less damping, m (D = 0).
+    """Return the largest error of the penetration in m relative to a continuous loop with a wall damping of -K T/2.
 
-    A held force is T/2 old on average: K y(t - T/2) is K y - (K T/2) y' to first order, the rest of second order.
+    A held force is T/2 old on average: K y(t - T/2) is K y - (K T/2) y' to first order; the error is of second order.
     """
     worst = 0.0
     for phase in range(PHASES):
@@ -188,7 +189,7 @@ def without_hold(loop: Loop, rate_hz: float) -> float:
 
 
 def order(rates_hz: tuple[float, ...], errors: list[float]) -> float:
-    """The exponent of T in the errors: slope of a line through the logarithms."""
+    """Return the power of the period T with which the errors grow: the slope of a line through the logarithms."""
     return float(-np.polyfit(np.log(rates_hz), np.log(errors), 1)[0])
 
 
@@ -201,8 +202,8 @@ LOOPS = {
 
 
 def peaks(loop: Loop) -> tuple[float, float]:
-    """Largest force and penetration of the closed form."""
-    y, _, force = Continuous(loop).at(np.linspace(0, loop.lasting_s, 20_001))
+    """Return the largest force in N and penetration in m of the closed form."""
+    y, _, force = Continuous(loop).at(np.linspace(0, loop.duration_s, 20_001))
     return float(force.max()), float(-y.min())
 
 
@@ -232,7 +233,7 @@ def _loop_table(name: str, loop: Loop, delay_periods: int = 0) -> tuple[Table, l
 
 
 def loops(options: Options, advance: Advance) -> Section:
-    """The closed loop over the rate, all of it computed anew."""
+    """Return the section with errors of the closed loop at each rate."""
     section = Section(
         "The closed loop",
         [
@@ -240,7 +241,7 @@ def loops(options: Options, advance: Advance) -> Section:
             "rests. The simulated joystick has no encoder step, dry friction, force resolution or vibration. The "
             f"reference is the closed form of the continuous loop. Each figure is the largest error over {PHASES} "
             "positions of the onset within the tick, in brackets relative to the peak. *Order in T*: the error grows "
-            "with the period T to this power.",
+            "with the period T to this power."
         ],
     )
     for index, (name, loop) in enumerate(LOOPS.items()):

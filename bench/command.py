@@ -1,8 +1,8 @@
-"""Command round trips over ipc with the servo running, beside a bare pyzmq and msgpack echo, in turns.
+"""Command round trips over ipc while the servo runs, compared with an echo of pyzmq and msgpack, in turns.
 
     python -m bench.command ENDPOINT       the echo server, until it is killed
 
-The client is the same on both sides: a DEALER that packs a map, sends it, waits and unpacks the answer.
+Both are called by the same client: a DEALER that packs a map, sends it, waits and unpacks the answer.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ RATE_HZ = 10_000
 
 
 def echo(endpoint: str) -> None:
-    """Takes every map apart and sends it back."""
+    """Unpack every map, pack it again and send it back."""
     with zmq.Context() as context, context.socket(zmq.ROUTER) as socket:
         socket.bind(endpoint)
         while True:
@@ -37,7 +37,7 @@ def echo(endpoint: str) -> None:
 
 @contextlib.contextmanager
 def echoing() -> Iterator[str]:
-    """The endpoint of an echo in another process."""
+    """Run an echo server in another process, and yield its endpoint."""
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         endpoint = f"ipc://{Path(folder, 'echo')}"
         process = subprocess.Popen([sys.executable, "-m", "bench.command", endpoint], cwd=ROOT)
@@ -49,7 +49,7 @@ def echoing() -> Iterator[str]:
 
 
 def asker(socket: zmq.Socket[bytes], method: str, params: Callable[[int], dict[str, object]]) -> Callable[[int], int]:
-    """A function that makes round trip number n and says how long it took, ns."""
+    """Return a function that makes round trip number n and returns its duration in ns."""
 
     def ask(number: int) -> int:
         message = {"jsonrpc": "2.0", "id": number, "method": method, "params": params(number)}
@@ -65,7 +65,7 @@ def asker(socket: zmq.Socket[bytes], method: str, params: Callable[[int], dict[s
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """The table of it."""
+    """Measure round trips of the echo and of two commands, and return their section."""
     blocks, trips = options.few(60, 6), options.few(200, 50)
     heights = (0.0, -0.001)
 

@@ -1,8 +1,8 @@
-"""What a tick costs among many objects, and what it costs to compile them and to change one.
+"""Cost of a tick in a scene of many objects, and cost of compiling the scene and of changing one object.
 
-The crowd is as dense as it gets: small boxes and discs on a lattice over the whole workspace, or parallel walls one
-below the other. The probe strokes along a lane that is free of them, three surfaces under it. That the force is that
-of the three alone is asserted in tests/tick/test_reach.py.
+The crowd of objects is dense: small boxes and discs on a lattice over the entire workspace, or parallel walls below
+each other. The probe strokes along a free lane, on three surfaces. tests/tick/test_reach.py asserts that only these
+three surfaces exert a force.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ from hapticd.rendering.offline import new_world
 
 COUNTS = (1, 10, 100, 1000, 10_000)
 TOUCHED = 3
+"""Number of objects that are touched."""
 PITCH_M = 2e-3
 SIZE_M = 5e-4
 DEPTH_M = 2e-4
 ABOVE_M = 5e-4
-"""Where nothing is touched, on the way in: within the lane."""
+"""Height in the lane at which the probe touches nothing."""
 LANE_M = 1e-3
-"""Half of the lane, at least: with three surfaces pressed by 0.2 mm, a tick at 1 m/s has to look 0.8 mm far."""
+"""Minimum half width of the lane: with three surfaces pressed by 0.2 mm, the reach of a tick at 1 m/s is 0.8 mm."""
 FAR_M = 0.03
-WAYS: Mapping[str, Motion] = {
+MOTIONS: Mapping[str, Motion] = {
     "at rest": strokes(1, 0.0, -0.02, -DEPTH_M),
     "0.1 m/s": strokes(64, 0.1, -0.02, -DEPTH_M),
     "1 m/s": strokes(8, 1.0, -0.025, -DEPTH_M),
@@ -56,8 +57,7 @@ def _small(index: int, x: float, y: float) -> Objects:
 
 
 def spread_out(count: int, free_m: float = LANE_M) -> Objects:
-    """Boxes and discs in turns, at places drawn from a lattice of 100 by 100 over 0.2 m that begins farther than
-    `free_m` from the middle of the lane."""
+    """Return boxes and discs at random points of a lattice, more than `free_m` from the middle of the lane."""
     lines = (np.arange(100) - 49.5) * PITCH_M
     columns, rows = (each.ravel() for each in np.meshgrid(lines, lines + np.copysign(free_m, lines)))
     chosen = np.random.default_rng(7).permutation(len(columns))[:count]
@@ -65,40 +65,40 @@ def spread_out(count: int, free_m: float = LANE_M) -> Objects:
 
 
 def below(count: int) -> Objects:
-    """Parallel walls, all in the 0.1 m below the lane, and out of what a tick can reach."""
+    """Return parallel walls in the 0.1 m below the lane, beyond the reach of a tick."""
     return {f"w{i}": {**FLOOR, "point_m": [0, -3e-3 - 1e-5 * i]} for i in range(count)}
 
 
 def floors(count: int) -> Objects:
-    """Broad boxes in one another, their upper faces 20 um apart, under the lane."""
+    """Return overlapping broad boxes below the lane, whose upper faces have a distance of 20 um."""
     return {f"floor{i}": {**FLOOR_BOX, "center_m": [0, -5e-4 - 2e-5 * i]} for i in range(count)}
 
 
-def levels(count: int) -> Objects:
-    """The same as walls."""
+def stacked_walls(count: int) -> Objects:
+    """Return parallel walls below the lane with a distance of 20 um."""
     return {f"floor{i}": {**FLOOR, "point_m": [0, -2e-5 * i]} for i in range(count)}
 
 
 @dataclass(frozen=True, slots=True)
 class Arrangement:
-    """What is touched, and who stands around."""
+    """The objects that are touched, and the others."""
 
     touched: Callable[[int], Objects]
     others: Callable[[int], Objects]
 
     def __call__(self, count: int) -> Objects:
-        """`count` objects, three of them touched, or one of one."""
+        """Return `count` objects, of which at most TOUCHED are touched."""
         near = min(count, TOUCHED)
         return {**self.others(count - near), **self.touched(near)}
 
 
-ARRANGEMENTS = {"boxes and discs": Arrangement(floors, spread_out), "walls": Arrangement(levels, below)}
+ARRANGEMENTS = {"boxes and discs": Arrangement(floors, spread_out), "walls": Arrangement(stacked_walls, below)}
 
 
 def _measure(
     scenes: Mapping[str, Stretch], wanted: Flag, rounds: int, times: int, advance: Advance
 ) -> dict[str, list[float]]:
-    """ns a tick of each scene, by round."""
+    """Return for each scene the time of a tick in ns, one for each round."""
     ticks = times * 64 * STRETCH
     flags = dict.fromkeys(scenes, wanted)
     return measured(scenes, flags, Flag.CONTACT, rounds, ticks, lambda part: advance(part, "objects"))
@@ -109,13 +109,13 @@ def _touched(options: Options, advance: Advance) -> Table:
     scenes = {
         f"{name}, {way}, {count}": Stretch(arrange(count), motion, above_m=ABOVE_M)
         for name, arrange in ARRANGEMENTS.items()
-        for way, motion in WAYS.items()
+        for way, motion in MOTIONS.items()
         for count in COUNTS
     }
     taken = _measure(scenes, Flag.CONTACT, rounds, times, advance)
     rows = []
     for name in ARRANGEMENTS:
-        for way in WAYS:
+        for way in MOTIONS:
             costs = {count: taken[f"{name}, {way}, {count}"] for count in COUNTS}
             ratio = np.divide(costs[COUNTS[-1]], costs[10])
             cells = [f"{float(np.median(costs[count])):.1f}" for count in COUNTS]
@@ -142,26 +142,26 @@ def _untouched(options: Options, advance: Advance) -> Table:
     scenes = {
         f"{name}, {way}": Stretch(objects, motion, above_m=ABOVE_M)
         for name, objects in crowds.items()
-        for way, motion in WAYS.items()
+        for way, motion in MOTIONS.items()
     }
     taken = _measure(scenes, Flag(0), rounds, times, advance)
     rows = []
     for name in crowds:
         cells = [name]
-        for way in WAYS:
+        for way in MOTIONS:
             more = np.subtract(taken[f"{name}, {way}"], taken[f"none, {way}"])
             cost = f"{float(np.median(taken[f'{name}, {way}'])):.1f}"
             cells.append(cost if name == "none" else f"{cost}; {spread(more, '+.1f')}")
         rows.append(cells)
     return Table(
         "ns a tick without contact; difference to an empty scene, round by round (10 to 90 %)",
-        ["objects", *WAYS],
+        ["objects", *MOTIONS],
         rows,
     )
 
 
 def _taken(work: Callable[[], object], rounds: int) -> list[float]:
-    """Seconds of each of so many runs."""
+    """Return the durations of `rounds` calls of `work`, in s."""
     taken = []
     for _ in range(rounds):
         start = time.perf_counter()
@@ -171,7 +171,7 @@ def _taken(work: Callable[[], object], rounds: int) -> list[float]:
 
 
 RAISED = {**FLOOR_BOX, "center_m": [0, -4.8e-4]}
-"""The first of `floors`, moved."""
+"""The first box of `floors`, raised by 20 um."""
 
 
 def _compile(options: Options, advance: Advance) -> Table:
@@ -185,22 +185,22 @@ def _compile(options: Options, advance: Advance) -> Table:
     def compiled(compiler: Compiler) -> CData:
         return compiler.update(config.scene, config.scene.objects, config.materials, 1)
 
-    def whole() -> None:
-        compiler = Compiler(output)  # the table lives as long
+    def compile_all() -> None:
+        compiler = Compiler(output)  # kept, since it owns the table
         new_world(compiled(compiler))
 
     kept = Compiler(output)
     table = compiled(kept)
 
     work: dict[str, tuple[Callable[[], object], float | None]] = {
-        "compile, from validated models to the servo's table": (whole, 200.0),
+        "compile, from validated models to the servo's table": (compile_all, 200.0),
         "of it: the table, in Python": (lambda: compiled(Compiler(output)), None),
         "of it: checks, copy and index, in C": (lambda: new_world(table), None),
         "before it: validation of plain data": (lambda: load_scene({"objects": objects}), None),
         "before that: reading YAML text": (lambda: load_bytes(text, "crowd.yaml"), None),
     }
     if document != {"objects": objects}:
-        raise RuntimeError("the text does not say what the objects are")
+        raise RuntimeError("the YAML text differs from the objects")
     rows = []
     for name, (each, aim) in work.items():
         slow = each is work["before that: reading YAML text"][0]
@@ -208,7 +208,7 @@ def _compile(options: Options, advance: Advance) -> Table:
         reached = "" if aim is None else verdict(1e3 * float(np.median(taken)), aim)
         rows.append([name, f"{spread(taken, '.3g', 1e3)} ms", "" if aim is None else f"< {aim:g} ms", reached])
         advance(0.7 * (len(rows)) / len(work), "compiling")
-    # Never started: it takes updates all the same.
+    # The engine accepts updates although it is not started.
     engine = Engine(config)
     places = [validate_object("floor0", each) for each in (RAISED, FLOOR_BOX)]
     taken = []
@@ -227,7 +227,7 @@ def _compile(options: Options, advance: Advance) -> Table:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """All tables of it."""
+    """Return the section with costs of ticks, compilation and updates."""
     return Section(
         "Crowds",
         [

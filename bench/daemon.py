@@ -1,4 +1,4 @@
-"""A daemon in a process of its own, for the measurements that need the whole of it."""
+"""A daemon in a separate process, for benchmarks of the complete daemon."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ DEVICE: Mapping[str, object] = {"sim": {"start_m": [0, 0.01]}}
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A daemon that is ready."""
+    """A daemon that accepts commands."""
 
     pid: int
     paths: RuntimePaths
     log: Path
-    """What it says."""
+    """File with the log of the daemon."""
     ready_s: float
-    """From the start of its process to the command socket."""
+    """Time from the start of the process to the command socket, in s."""
     answered_s: float
-    """From the start of its process to its first answer."""
+    """Time from the start of the process to the first answer, in s."""
 
 
 def call(socket: zmq.Socket[bytes], method: str, params: Mapping[str, object] | None = None) -> dict[str, object]:
-    """One round trip on a bare DEALER: the result."""
+    """Send a request on a DEALER socket, and return the result. Raises HapticdError for an error."""
     socket.send(msgpack.packb({"jsonrpc": "2.0", "id": 1, "method": method, "params": params or {}}))
     answer = msgpack.unpackb(socket.recv())
     if "result" not in answer:
@@ -51,7 +51,7 @@ def call(socket: zmq.Socket[bytes], method: str, params: Mapping[str, object] | 
 
 @contextlib.contextmanager
 def dealer(endpoint: str) -> Iterator[zmq.Socket[bytes]]:
-    """A connected DEALER that gives up after ten seconds of silence."""
+    """Yield a connected DEALER socket, which waits at most ten seconds for a message."""
     with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
         socket.setsockopt(zmq.LINGER, 0)
         socket.setsockopt(zmq.RCVTIMEO, 10_000)
@@ -61,13 +61,13 @@ def dealer(endpoint: str) -> Iterator[zmq.Socket[bytes]]:
 
 @contextlib.contextmanager
 def daemon(**servo: object) -> Iterator[Running]:
-    """`hapticd run` with these servo settings over a wooden floor, stopped at the end. Raises HapticdError."""
+    """Run a daemon with these servo settings and a wooden floor while the context is active. Raises HapticdError."""
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         paths = RuntimePaths(Path(folder, "run"))
         config = Path(folder, "bench.yaml")
         document = {"servo": servo, "device": dict(DEVICE), "scene": dict(SCENE)}
         config.write_text(yaml.safe_dump(document), encoding="utf-8")
-        log = Path(folder, "log")  # not a pipe: nobody reads it before the end
+        log = Path(folder, "log")  # a file, since an unread pipe would block the daemon
         begin = time.monotonic()
         with log.open("wb") as stderr:
             process = subprocess.Popen(
@@ -80,7 +80,7 @@ def daemon(**servo: object) -> Iterator[Running]:
                 if process.poll() is not None or time.monotonic() > begin + 30:
                     process.kill()
                     raise HapticdError(f"the daemon does not start: {log.read_text().strip()}")
-                time.sleep(0.001)  # it is another process, and what it makes last is this file
+                time.sleep(0.001)  # the daemon creates the socket last
             ready_s = time.monotonic() - begin
             with dealer(paths.command_endpoint) as socket:
                 call(socket, "get_status")

@@ -1,9 +1,8 @@
-"""What the handle does with a strike: displayed error of every material in three grips, and what a tail costs.
+"""Displayed error of the tap of every material in three grips, measured on the motion of the handle.
 
 The displayed error (hapticd/rendering/displayed_error.py) is the RMS of the difference between the handle's
-acceleration and the
-library's waveform over the RMS of the waveform, both limited to 30 Hz to 0.4 of the rate. Here it is measured on the
-motion: what `hapticd.render` gives for a tap, held from tick to tick, moves the linear device.
+acceleration and the library's waveform over the RMS of the waveform, both limited to 30 Hz to 0.4 of the rate. Here the
+force of a tap from `hapticd.render`, held from tick to tick, moves the linear device.
 """
 
 from __future__ import annotations
@@ -29,19 +28,21 @@ if TYPE_CHECKING:
 RATE_HZ = 10_000.0
 COMPARED: tuple[Compensation, ...] = ("off", "full")
 HANDLE = (0.04, 0.2)
-"""Mass and damping of the default simulated joystick."""
+"""Mass in kg and damping in N s/m of the default simulated joystick."""
 GRIPS = {"light": (0.005, 2.0, 100.0), "default": (0.01, 5.0, 300.0), "firm": (0.02, 10.0, 600.0)}
-"""Mass, damping and stiffness of the hand: two fingers, the default hand, and twice the default."""
+"""Mass in kg, damping in N s/m and stiffness in N/m: two fingers, the default hand, and twice the default."""
 MATERIALS = ("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel", "comb", "cellophane")
-AIM, GOAL = 0.13, 0.05
+MAX_ERROR, AIM = 0.13, 0.05
 WALL_N_PER_M = 800.0
-"""Of the shipped materials."""
+"""Stiffness of the shipped materials."""
 PHASES = 8
-LASTING_S = 0.25
+"""Number of positions of the onset within a tick."""
+DURATION_S = 0.25
+"""Duration of the motion after a strike."""
 
 
 def modes() -> dict[str, Mode]:
-    """The tap of a material, the comb's groove, the membrane's rupture."""
+    """Return the mode of each material: its tap, groove or rupture."""
     found = {}
     for name in MATERIALS:
         material = shipped_materials()[name]
@@ -54,7 +55,7 @@ def modes() -> dict[str, Mode]:
 
 
 def held(grip: str) -> Dynamics:
-    """The default handle in a grip."""
+    """Return the dynamics of the default handle in a grip."""
     mass, damping, stiffness = GRIPS[grip]
     return Dynamics(*HANDLE, 0.0, mass, damping, stiffness)
 
@@ -62,7 +63,7 @@ def held(grip: str) -> Dynamics:
 def tapped(
     mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float, stiffness_n_per_m: float = 0.0
 ) -> Floats:
-    """The force of a tap of A = 1 that began `part` of a period before the first of the samples, on such a surface."""
+    """Return the force of a tap with amplitude 1 m/s^2, whose onset is `part` of a period before the first sample."""
     mass, damping, stiffness = GRIPS[grip]
     hand = {"mass_kg": mass, "damping_n_s_per_m": damping, "stiffness_n_per_m": stiffness}
     handle = {"mass_kg": HANDLE[0], "damping_n_s_per_m": HANDLE[1]}
@@ -76,13 +77,13 @@ def tapped(
         "device": {"handle": handle, "grip": hand, "compensation": compensation, "max_force_n": 100},
         "materials": {"it": {"stiffness_n_per_m": stiffness_n_per_m, "tap": tap}},
     }
-    return tap_force(load_config(config), "it", 1 / 64, int(LASTING_S * rate_hz), onset_periods=part)[:, 1]
+    return tap_force(load_config(config), "it", 1 / 64, int(DURATION_S * rate_hz), onset_periods=part)[:, 1]
 
 
 def moved_error(
     mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float = ONSET_LEAD_PERIODS
 ) -> float:
-    """Displayed error of the motion. What the handle could not do before the first tick counts."""
+    """Return the displayed error of the motion, from the onset, although the force begins only at the first tick."""
     force = tapped(mode, grip, compensation, rate_hz, part)
     late = round(part * PARTS_PER_PERIOD)
     moved = np.concatenate((np.zeros(late), handle_acceleration(force, held(grip), rate_hz, PARTS_PER_PERIOD)))
@@ -91,7 +92,7 @@ def moved_error(
 
 
 def walled(force_n: Floats, grip: str, rate_hz: float) -> Floats:
-    """As handle_acceleration, on a surface of WALL_N_PER_M that is felt at each tick."""
+    """Return the acceleration of the handle, as handle_acceleration, on a wall of WALL_N_PER_M."""
     mass, damping, stiffness = GRIPS[grip]
     sim = Sim(
         handle_mass_kg=HANDLE[0],
@@ -106,7 +107,7 @@ def walled(force_n: Floats, grip: str, rate_hz: float) -> Floats:
 
 
 def wall_error(mode: Mode, grip: str, known: bool, part: float = ONSET_LEAD_PERIODS) -> float:
-    """Displayed error with `full` on a surface of WALL_N_PER_M; not `known`: with the forces of a tap on nothing."""
+    """Return the displayed error with `full` on a wall; unless `known`, the forces are computed without the wall."""
     force = tapped(mode, grip, "full", RATE_HZ, part, WALL_N_PER_M if known else 0.0)
     moved = np.concatenate((np.zeros(round(part * PARTS_PER_PERIOD)), walled(force, grip, RATE_HZ)))
     wanted = waveform(mode, len(moved), PARTS_PER_PERIOD * RATE_HZ)
@@ -114,7 +115,7 @@ def wall_error(mode: Mode, grip: str, known: bool, part: float = ONSET_LEAD_PERI
 
 
 def on_wall(point: SweepPoint) -> dict[str, float]:
-    """A point of studies/displayed_walls.yaml."""
+    """Return the displayed errors at a point of studies/displayed_walls.yaml."""
     mode, grip = modes()[point.parameters["material"]], point.parameters["grip"]
     anywhere = [wall_error(mode, grip, True, (place + 0.5) / PHASES) ** 2 for place in range(PHASES)]
     return {
@@ -124,9 +125,9 @@ def on_wall(point: SweepPoint) -> dict[str, float]:
     }
 
 
-def _walls(client: Any, tell: Callable[[float], None]) -> Table:
+def _walls(client: Any, progress: Callable[[float], None]) -> Table:
     cells: dict[str, list[str]] = {}
-    for row in swept(client, "displayed_walls", tell):
+    for row in swept(client, "displayed_walls", progress):
         errors = [_percent(row[key]) for key in ("left_out", "full", "anywhere")]
         cells.setdefault(row["parameters.material"], []).extend(errors)
     columns = [f"{grip}: {what}" for grip in GRIPS for what in ("wall left out", "full", "any onset")]
@@ -139,7 +140,7 @@ def _percent(value: float) -> str:
 
 
 def in_grip(point: SweepPoint) -> dict[str, float | None]:
-    """A point of studies/displayed_grips.yaml."""
+    """Return the displayed errors at a point of studies/displayed_grips.yaml."""
     mode, grip = modes()[point.parameters["material"]], point.parameters["grip"]
     shape = shape_of(mode, held(grip), RATE_HZ, "full")
     phases = (np.arange(PHASES) + 0.5) / PHASES
@@ -160,7 +161,7 @@ def in_grip(point: SweepPoint) -> dict[str, float | None]:
     }
 
 
-def _errors(client: Any, tell: Callable[[float], None]) -> list[str | Table]:
+def _errors(client: Any, progress: Callable[[float], None]) -> list[str | Table]:
     columns = [
         "material",
         "off",
@@ -173,7 +174,7 @@ def _errors(client: Any, tell: Callable[[float], None]) -> list[str | Table]:
         "any onset: full",
     ]
     tables: list[str | Table] = []
-    found = swept(client, "displayed_grips", tell)
+    found = swept(client, "displayed_grips", progress)
     for grip, (mass, damping, stiffness) in GRIPS.items():
         rows = [
             [
@@ -191,25 +192,25 @@ def _errors(client: Any, tell: Callable[[float], None]) -> list[str | Table]:
         )
         tables.append(Table(caption, columns, rows))
     worst = [row["full"] for row in found]
-    reached = sum(error <= GOAL for error in worst)
+    reached = sum(error <= AIM for error in worst)
     tables.append(
-        f"Worst with `full`: {100 * max(worst):.1f} %; at most {100 * AIM:g} %: {verdict(max(worst), AIM)}. "
-        f"{reached} of {len(worst)} reach the aim of {100 * GOAL:g} %."
+        f"Worst with `full`: {100 * max(worst):.1f} %; at most {100 * MAX_ERROR:g} %: "
+        f"{verdict(max(worst), MAX_ERROR)}. {reached} of {len(worst)} reach the aim of {100 * AIM:g} %."
     )
     return tables
 
 
 def at_rate(point: SweepPoint) -> dict[str, float | None]:
-    """A point of studies/displayed_rates.yaml; None: the rate does not carry the mode."""
+    """Return the displayed errors at a point of studies/displayed_rates.yaml; None for a mode above 0.4 of the rate."""
     mode, rate_hz = modes()[point.parameters["material"]], point.rate_hz
     if mode.frequency_hz > 0.4 * rate_hz:
         return {"off": None, "full": None}
     return {each: moved_error(mode, "default", each, rate_hz) for each in COMPARED}
 
 
-def _rates(client: Any, tell: Callable[[float], None]) -> Table:
+def _rates(client: Any, progress: Callable[[float], None]) -> Table:
     cells: dict[str, dict[float, str]] = {}
-    for row in swept(client, "displayed_rates", tell):
+    for row in swept(client, "displayed_rates", progress):
         errors = [row[each] for each in COMPARED]
         cell = "not displayable" if None in errors else " / ".join(map(_percent, errors))
         cells.setdefault(row["parameters.material"], {})[row["servo.rate_hz"]] = cell
@@ -220,7 +221,7 @@ def _rates(client: Any, tell: Callable[[float], None]) -> Table:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """All tables of it."""
+    """Return the section with displayed errors in each grip, on walls and at each rate."""
     with workers() as client:
         errors = _errors(client, between(advance, 0.0, 0.5, "grips"))
         walls = _walls(client, between(advance, 0.5, 0.8, "walls"))

@@ -1,7 +1,7 @@
-"""What each feature of a surface adds to a tick, and what a ringing mode costs.
+"""Cost of each feature of a surface, and of an active mode, in a tick.
 
-The probe strokes: it goes to and fro along a surface that it presses with about 0.8 N, and its velocity is given. A
-feature is compared with the bare wall under the same strokes, round by round.
+The probe strokes a surface to and fro, pressing with about 0.8 N; velocities are given. A feature is compared with a
+bare wall under the same strokes, round by round.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ SPEED_M_PER_S = 0.1
 FRICTION, FRICTION_STIFFNESS = 0.3, 500.0
 SPACING_M, WIDTH_M, GROOVE_M, DRAG = 2e-3, 5e-4, 1e-4, 3.0
 GAINS = (30.0, 3.0)
-"""Of grooves and of noise: (m/s^2) per m/s, and per N."""
-LEVELS = tuple(1.0 + 0.05 * i for i in range(16))
-"""RMS of the models, m/s^2."""
+"""Gains of grooves and noise: (m/s^2) per m/s, and (m/s^2) per N."""
+RMS_M_PER_S2 = tuple(1.0 + 0.05 * i for i in range(16))
+"""RMS of each autoregressive model."""
 GRID_SPEEDS, GRID_FORCES = (0.04, 0.08, 0.12, 0.16), (0.4, 0.7, 1.0, 1.3)
 SOFT, RAMP_M = 400.0, 2e-3
 RADIUS_M, SMALL_M = 0.05, 0.0015
@@ -33,7 +33,7 @@ MODES = (1, 10, 100, 1000)
 
 
 def strokes(stretches: int, speed: float = SPEED_M_PER_S, begin_m: float = 0.0, height_m: float = -DEPTH_M) -> Motion:
-    """To the right and back at constant speed and height. At rest with a speed of 0."""
+    """Return a stroke to the right and back at constant speed and height; with a speed of 0 the probe rests."""
     count = stretches * STRETCH
     tick = np.arange(count)
     x = begin_m + speed / RATE_HZ * np.minimum(tick, count - tick)
@@ -42,7 +42,7 @@ def strokes(stretches: int, speed: float = SPEED_M_PER_S, begin_m: float = 0.0, 
 
 
 def _waving() -> Motion:
-    """20 mm to either side and back, pressed with 0.56 to 1.04 N: speed and force change from tick to tick."""
+    """Return a motion of 20 mm to either side, pressed with 0.56 to 1.04 N; speed and force change at every tick."""
     count = 64 * STRETCH
     turn = 2 * np.pi * np.arange(count) / count
     rate = 2 * np.pi * RATE_HZ / count
@@ -51,7 +51,7 @@ def _waving() -> Motion:
 
 
 def _around(radius_m: float) -> Motion:
-    """As `strokes`, around within a disc whose top is at 0."""
+    """Return a stroke along the surface of a disc whose top is at y = 0."""
     flat = strokes(64, begin_m=-0.02)
     inside = radius_m - DEPTH_M
     angle = flat.path_m[:, 0] / inside
@@ -60,7 +60,7 @@ def _around(radius_m: float) -> Motion:
     return Motion(np.subtract(inside * radial, (0.0, radius_m)), flat.speeds_m_per_s[:, :1] * tangent)
 
 
-# Turns lie more than half a spacing from the groove that was passed last, so that it strikes again on the way back.
+# The probe turns more than half a spacing behind the last groove, so that this groove strikes again on the way back.
 STEADY = strokes(64, begin_m=-0.0195)
 WAVING = _waving()
 AROUND, AROUND_DEEP = _around(RADIUS_M), _around(SMALL_M)
@@ -72,7 +72,7 @@ OFF_RAMP = strokes(1, begin_m=0.025)
 
 
 def _coefficients(order: int, seed: int) -> list[float]:
-    """a_1 .. a_p of a stable filter: the step-up recursion from random reflection coefficients."""
+    """Return coefficients a_1 to a_p of a stable filter, by step-up recursion from random reflection coefficients."""
     polynomial = np.ones(1)
     for k in np.random.default_rng(seed).uniform(-0.3, 0.3, order):
         polynomial = np.append(polynomial, 0.0) + k * np.append(0.0, polynomial[::-1])
@@ -82,7 +82,12 @@ def _coefficients(order: int, seed: int) -> list[float]:
 def _models(order: int, gridded: bool) -> list[dict[str, object]]:
     places = [(v, f) for v in GRID_SPEEDS for f in GRID_FORCES] if gridded else [(SPEED_M_PER_S, 0.8)]
     return [
-        {"speed_m_per_s": v, "force_n": f, "coefficients": _coefficients(order, seed), "rms_m_per_s2": LEVELS[seed]}
+        {
+            "speed_m_per_s": v,
+            "force_n": f,
+            "coefficients": _coefficients(order, seed),
+            "rms_m_per_s2": RMS_M_PER_S2[seed],
+        }
         for seed, (v, f) in enumerate(places)
     ]
 
@@ -128,7 +133,7 @@ BOX = {"kind": "box", "center_m": [0, -0.05], "size_m": [0.1, 0.1], "material": 
 DISC = {"kind": "disc", "center_m": [0, -RADIUS_M], "radius_m": RADIUS_M, "material": "bare"}
 SMALL = {"kind": "disc", "center_m": [0, -SMALL_M], "radius_m": SMALL_M, "material": "bare"}
 FLUSH = {side: {**BOX, "center_m": [x, -0.05], "material": "rubbery"} for side, x in (("left", -0.05), ("right", 0.05))}
-"""Two boxes that meet at s = 0."""
+"""Two boxes that meet at x = 0."""
 SKIN = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.1, "material": "bare"}
 EDGE = {"patches": [{"from_m": 0, "to_m": 0.05, "material": "soft"}], "patch_ramp_m": RAMP_M}
 
@@ -138,7 +143,7 @@ def _wall(material: str, **keys: object) -> dict[str, object]:
 
 
 def _objects(item: Mapping[str, object]) -> dict[str, object]:
-    """One object, or several by their names."""
+    """Return a scene of one object, or of several objects by name."""
     return {"it": item} if "kind" in item else dict(item)
 
 
@@ -170,7 +175,7 @@ SURFACE_CASES: Mapping[str, tuple[Mapping[str, object], Motion, str | None]] = {
     "order 10 on 4 x 4, waving": (_wall("ar10 grid"), WAVING, WAVING_WALL),
     "order 32 on 4 x 4, waving": (_wall("ar32 grid"), WAVING, WAVING_WALL),
 }
-"""An object or several, how they are stroked, and the row that it is compared with."""
+"""For each row of the table: its objects, the motion of the probe, and the row with which it is compared."""
 
 
 def _features(options: Options, advance: Advance) -> Table:
@@ -204,7 +209,7 @@ def _frequency_rad_per_s(index: int) -> float:
 
 
 def _bells(count: int, ringing: bool) -> Stretch:
-    """Walls that are touched and left again together; the probe rests out of their reach."""
+    """Return a scene of walls that are touched at the same time; the probe then rests out of reach."""
     materials: dict[str, object] = {}
     for i in range(count):
         tap = {
@@ -218,7 +223,7 @@ def _bells(count: int, ringing: bool) -> Stretch:
 
 
 def _ring(scene: Stretch) -> None:
-    """Taps all walls with 0.2 m/s and leaves them."""
+    """Tap all walls at 0.2 m/s, and leave them."""
     down, up = np.linspace(0.002, -1e-4, 106), np.linspace(-1e-4, BELL_M, 202)
     height = np.concatenate((np.linspace(BELL_M, 0.002, 100), down[1:], up[1:]))
     speeds = np.stack((np.zeros(len(height)), np.full(len(height), -0.2)), 1)
@@ -234,11 +239,11 @@ def _modes(options: Options, advance: Advance) -> Table:
             for scene in (ringing, silent):
                 _ring(scene)
                 scene.render(5)
-            share = max(10, calls * 10 // (10 + count))
-            with_modes = float(np.median(ringing.timed(share)))
-            added[count].append(with_modes - float(np.median(silent.timed(share))))
+            repeats = max(10, calls * 10 // (10 + count))
+            with_modes = float(np.median(ringing.timed(repeats)))
+            added[count].append(with_modes - float(np.median(silent.timed(repeats))))
             if not ringing.flags() & Flag.RINGING or silent.flags() & Flag.RINGING:
-                raise RuntimeError(f"{count} modes: do not ring as they should")
+                raise RuntimeError(f"{count} modes: some do not ring, or a silent scene rings")
         advance((index + 1) / rounds, "ringing modes")
     rows = []
     for count in MODES:
@@ -257,7 +262,7 @@ def _modes(options: Options, advance: Advance) -> Table:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """All tables of it."""
+    """Return the section with the costs of features and active modes."""
     return Section(
         "Features",
         [

@@ -1,6 +1,6 @@
-"""Fitted taps against their truth: errors of the figures, and how often the 95 % intervals hold it.
+"""Errors of fitted taps relative to their truth, and how often the 95 % intervals contain the truth.
 
-A set is a recording of ten taps at random speeds, by the synthetic stylus, whose waveforms are closed forms.
+Each set is a recording of ten taps at random speeds by the synthetic stylus, whose waveforms are closed forms.
 """
 
 from __future__ import annotations
@@ -28,21 +28,23 @@ SPEEDS_M_PER_S = (0.1, 0.4)
 NOISE = 0.02
 SEED = 1
 KEYS = ("slope", "first_peak", "frequency", "decay_time")
+"""Names of the fitted quantities in the columns of the study."""
 FIGURES = ("slope", "slope of the first peak", "frequency", "decay time")
 
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """[sets, figures]; sets that were refused are not among them."""
+    """Results of the fits that were not refused, arrays (sets, quantities)."""
 
     relative: Floats
     held: Floats
-    """1 where the interval holds the truth, 0 elsewhere."""
+    """1 if the interval contains the truth, otherwise 0."""
     refused: int
+    """Number of refused fits."""
 
 
 def fitted(point: SweepPoint) -> dict[str, float | bool | None]:
-    """A point of studies/fit_taps.yaml: one recording of TAPS taps; None: it was refused."""
+    """Fit the recording of a point of studies/fit_taps.yaml, and return its errors; None if the fit is refused."""
     tap, index = shipped_materials()[point.parameters["material"]].tap, point.parameters["set"]
     assert tap is not None
     speeds = np.random.default_rng([SEED, index]).uniform(*SPEEDS_M_PER_S, TAPS)
@@ -66,7 +68,7 @@ def fitted(point: SweepPoint) -> dict[str, float | bool | None]:
 
 
 def errors_of(rows: Sequence[Mapping[str, Any]]) -> Errors:
-    """Of the rows of a study."""
+    """Return the errors in the rows of studies/fit_taps.yaml."""
     kept = [row for row in rows if row[f"{KEYS[0]}_error"] is not None]
     relative = [[row[f"{key}_error"] for key in KEYS] for row in kept]
     held = [[float(row[f"{key}_held"]) for key in KEYS] for row in kept]
@@ -75,7 +77,7 @@ def errors_of(rows: Sequence[Mapping[str, Any]]) -> Errors:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """A table of it."""
+    """Return the section with errors and coverage of taps, strokes and punctures."""
     sets = options.few(12, 3)
     drawn: dict[str, Json] = {"parameters.set": {"low": 0, "high": sets - 1, "count": sets}}
     with workers() as client:
@@ -92,8 +94,8 @@ def run(options: Options, advance: Advance) -> Section:
             f"{sets} recordings of {TAPS} taps for each material, at 25 kHz with {100 * NOISE:g} % noise and random "
             f"speeds between {SPEEDS_M_PER_S[0]:g} and {SPEEDS_M_PER_S[1]:g} m/s. The table shows the median of the "
             "absolute error in per cent, and the coverage: the fraction of the recordings whose 95 % interval contains "
-            f"the truth. Two standard errors of the coverage are {_uncertain(sets):.1f} percentage points for one "
-            f"material, {_uncertain(len(found)):.1f} for all.",
+            f"the truth. Two standard errors of the coverage are {_uncertainty(sets):.1f} percentage points for one "
+            f"material, {_uncertainty(len(found)):.1f} for all.",
             Table(f"Median error, % / coverage; {sets} recordings", ["material", *FIGURES, "refused"], rows),
             strokes,
         ],
@@ -105,8 +107,9 @@ def _cells(found: Errors) -> list[str]:
         return [*("-" for _ in FIGURES), f"{found.refused}"]
     middle = 100 * np.median(np.abs(found.relative), axis=0)
     held = found.held.mean(axis=0)
-    return [*(f"{error:.2f} / {part:.3f}" for error, part in zip(middle, held, strict=True)), f"{found.refused}"]
+    return [*(f"{error:.2f} / {covered:.3f}" for error, covered in zip(middle, held, strict=True)), f"{found.refused}"]
 
 
-def _uncertain(sets: int) -> float:
+def _uncertainty(sets: int) -> float:
+    """Return two standard errors of the coverage, in percentage points."""
     return float(200 * (0.95 * 0.05 / sets) ** 0.5)

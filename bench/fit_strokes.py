@@ -1,7 +1,7 @@
-"""How far fits of grooves, textures and punctures are from the truth, and how often their intervals hold it.
+"""Errors of fitted grooves, textures and punctures, and how often the intervals contain the truth.
 
-Sets of synthetic recordings: 25 kHz, noise of 2 % of the largest acceleration, a hand that swings, an accelerometer
-without a mounting or a filter of its own (what these do is a bias, told in docs/fit_strokes.md).
+Synthetic recordings have 25 kHz, noise of 2 % of the largest acceleration, and a hand that swings. The accelerometer
+has no mounting resonance and no filter, whose bias is described in docs/fit_strokes.md.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ Figures: TypeAlias = Mapping[str, Estimate]
 Truths: TypeAlias = Mapping[str, float]
 
 COMBS: Final = ((0.002, 200.0, 0.003), (0.00076, 350.0, 0.008), (0.0024, 800.0, 0.004))
-"""Spacing, m, frequency, Hz, and decay time, s."""
+"""Spacing in m, frequency in Hz and decay time in s of each comb."""
 GRITS: Final = ((160.0, 210.0), (250.0, 280.0), (120.0, 170.0))
-"""Peak and mean, Hz."""
+"""Peak and mean frequency in Hz of each texture."""
 SKINS: Final = ((0.002, 500.0), (0.005, 300.0))
-"""Depth, m, and stiffness, N/m."""
+"""Rupture depth in m and stiffness in N/m of each membrane."""
 SEED: Final = 1
 SPEEDS: Final = (0.05, 0.15)
 FORCES: Final = (0.6, 2.0)
@@ -44,24 +44,26 @@ FORCES: Final = (0.6, 2.0)
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Of one figure over many sets: median of the relative error, and how many intervals hold the truth."""
+    """The errors of one fitted quantity over many sets of recordings."""
 
     kind: str
     figure: str
     sets: int
     median_error: float
+    """Median of the absolute relative error."""
     bias: float
     """Median of the signed relative error."""
     covered: float
+    """Fraction of the intervals that contain the truth."""
 
     @property
-    def binomial(self) -> float:
-        """Standard error of `covered` if the chance is 95 %."""
+    def standard_error(self) -> float:
+        """Standard error of `covered` for a true coverage of 95 %."""
         return math.sqrt(0.95 * 0.05 / self.sets)
 
 
 def fitted(point: SweepPoint) -> str:
-    """A point of studies/fit_strokes.yaml: by figure, [value, low, high, truth], as JSON."""
+    """Fit the set of a point of studies/fit_strokes.yaml; return [value, low, high, truth] by quantity, as JSON."""
     index = point.parameters["set"]
     ((figures, truths),) = _SETS[point.parameters["kind"]](range(index, index + 1), SEED)
     return json.dumps(
@@ -70,25 +72,20 @@ def fitted(point: SweepPoint) -> str:
 
 
 def coverage(kind: str, sets: Sequence[Mapping[str, Sequence[float]]]) -> Iterator[Coverage]:
-    """Of each figure over sets, each by figure [value, low, high, truth]."""
+    """Yield the coverage of each quantity. Each set maps quantities to [value, low, high, truth]."""
     for name in sets[0]:
         errors = [value / truth - 1 for value, _, _, truth in (each[name] for each in sets)]
         covered = [low <= truth <= high for _, low, high, truth in (each[name] for each in sets)]
         yield Coverage(
-            kind,
-            name,
-            len(sets),
-            float(np.median(np.abs(errors))),
-            float(np.median(errors)),
-            float(np.mean(covered)),
+            kind, name, len(sets), float(np.median(np.abs(errors))), float(np.median(errors)), float(np.mean(covered))
         )
 
 
-def table(client: Any, options: Options, tell: Callable[[float], None]) -> Table:
-    """As `python -m bench fit` prints it: of few sets, as grooves and punctures take a second or two for each."""
+def table(client: Any, options: Options, progress: Callable[[float], None]) -> Table:
+    """Return the table of few sets, since grooves and punctures take a second or two for each."""
     quick: dict[str, Json] = {"parameters.kind": list(KINDS), "parameters.set": [0] * len(KINDS)}
     found: dict[str, list[dict[str, list[float]]]] = {}
-    for row in swept(client, "fit_strokes", tell, quick if options.quick else None):
+    for row in swept(client, "fit_strokes", progress, quick if options.quick else None):
         found.setdefault(row["parameters.kind"], []).append(json.loads(row["figures"]))
     rows = [
         [
@@ -97,7 +94,7 @@ def table(client: Any, options: Options, tell: Callable[[float], None]) -> Table
             f"{each.sets}",
             f"{100 * each.median_error:.3f}",
             f"{100 * each.covered:.0f}",
-            f"{100 * each.binomial:.0f}",
+            f"{100 * each.standard_error:.0f}",
         ]
         for kind, sets in found.items()
         for each in coverage(kind, sets)
@@ -122,7 +119,7 @@ def _seeds(sets: Iterable[int], seed: int) -> Iterator[tuple[int, np.random.Gene
 
 
 def _places(random: np.random.Generator, count: int) -> list[tuple[float, float]]:
-    """Speeds and forces at random, within SPEEDS and FORCES; the first four are slow and fast, light and hard."""
+    """Return random pairs of speed and force. The first four are near the corners of SPEEDS and FORCES."""
     corners = [(0, 0), (0, 1), (1, 0), (1, 1)]
     found = []
     for k in range(count):
@@ -145,7 +142,7 @@ def _grooves(sets: Iterable[int], seed: int) -> Iterator[tuple[Figures, Truths]]
         }
         ridges = {"kind": "grooves", "display": "vibration", "width_m": spacing / 4, **truths}
         material = _material(texture=ridges)
-        # So slow that there are three cycles and more between grooves.
+        # Slow enough for at least three cycles between grooves.
         slower = min(1.0, spacing * frequency / 4 / SPEEDS[1])
         strokes = [
             grooves(material, speed * slower, force, Stylus(seed=first + k), Hand(duration_s=0.8), 0.05)
@@ -157,12 +154,7 @@ def _grooves(sets: Iterable[int], seed: int) -> Iterator[tuple[Figures, Truths]]
 def _texture(sets: Iterable[int], seed: int) -> Iterator[tuple[Figures, Truths]]:
     for first, random in _seeds(sets, seed):
         peak, mean = GRITS[first // 1000 % len(GRITS)]
-        truths = {
-            "peak_hz": peak,
-            "mean_hz": mean,
-            "velocity_gain_per_s": 24.0,
-            "force_gain_m_per_s2_per_n": 2.4,
-        }
+        truths = {"peak_hz": peak, "mean_hz": mean, "velocity_gain_per_s": 24.0, "force_gain_m_per_s2_per_n": 2.4}
         material = _material(texture={"kind": "stochastic", **truths})
         strokes = [
             texture(material, speed, force, Stylus(seed=first + k, tremor_m_per_s2=0.3), Hand(duration_s=5.0))

@@ -1,10 +1,10 @@
-"""Wake-up lateness and work of the running servo, beside cyclictest (Debian's rt-tests), in turns.
+"""Wake-up lateness and work of the running servo, compared with cyclictest (Debian's rt-tests), in turns.
 
-    python -m bench.lateness RATE_HZ SECONDS SPIN_US       one run of the servo, as JSON; what the measurement starts
+    python -m bench.lateness RATE_HZ SECONDS SPIN_US       one run of the servo; prints JSON for the benchmark
 
-Servo and cyclictest are each a fresh process, with one thread at SCHED_FIFO 80, no affinity, all memory locked, woken
-at absolute times of CLOCK_MONOTONIC. cyclictest keeps the processors out of idle states that are slow to leave
-(/dev/cpu_dma_latency) as long as it runs; so must the servo, or it loses.
+Servo and cyclictest are each a new process, with one thread at SCHED_FIFO 80, no affinity, all memory locked, woken at
+absolute times of CLOCK_MONOTONIC. Both keep the processors out of idle states that are slow to leave
+(/dev/cpu_dma_latency).
 """
 
 from __future__ import annotations
@@ -30,29 +30,31 @@ from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 
 RATES_HZ = (1000, 4000, 10_000)
 SPIN_US = {1000: 100.0, 4000: 100.0, 10_000: 50.0}
-"""At 10 kHz less than the period: a real-time thread that never sleeps is throttled by the kernel."""
+"""Spin time by rate. At 10 kHz it is less than the period: the kernel throttles real-time threads that never sleep."""
 PRIORITY = 80
 PERCENTILES = (50.0, 99.0, 99.9)
 SETTLE_S = 0.2
-"""Left out at the start of a run: page faults of the process that has just started."""
+"""Time at the start of a run that is left out, because of page faults of the new process."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: percentiles 50, 99, 99.9 in ns, and periods that were missed."""
+    """One run of the servo; lists have a value for each of PERCENTILES."""
 
     lateness_ns: list[float]
     work_ns: list[float]
     skipped: int
+    """Number of missed periods."""
     scheduler: str
     missing: list[str]
+    """Privileges that were not granted."""
 
 
 def lateness_of(samples: np.ndarray[tuple[int], np.dtype[np.void]], rate_hz: float) -> tuple[Floats, int]:
-    """Wake-up after the deadline, ns, and the periods missed.
+    """Return the lateness of each wake-up in ns, and the number of missed periods.
 
-    A sample's own lateness is that after the deadline it was rendered for; periods that were missed before it are
-    added, which is how late cyclictest calls the same wake-up.
+    A sample has the lateness after the deadline for which it was rendered. Periods missed before it are added, as in
+    cyclictest.
     """
     period_ns = 1e9 / rate_hz
     missed = np.rint(np.diff(samples["time_ns"]) / period_ns) - 1
@@ -61,7 +63,7 @@ def lateness_of(samples: np.ndarray[tuple[int], np.dtype[np.void]], rate_hz: flo
 
 
 def servo(rate_hz: float, seconds: float, spin_us: float) -> Run:
-    """The servo of this process, drained five times a second. Raises HapticdError."""
+    """Run the servo in this process, and read its samples five times a second. Raises HapticdError."""
     settings = {"rate_hz": rate_hz, "spin_us": spin_us, "priority": PRIORITY}
     engine = Engine(load_config({"servo": settings, "device": DEVICE, "scene": SCENE}))
     room = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
@@ -90,22 +92,22 @@ def servo(rate_hz: float, seconds: float, spin_us: float) -> Run:
 
 
 def servo_process(rate_hz: float, seconds: float, spin_us: float) -> Run:
-    """The same in a process of its own."""
+    """Run the servo in a separate process. Raises HapticdError."""
     arguments = [sys.executable, "-m", "bench.lateness", str(rate_hz), str(seconds), str(spin_us)]
-    return Run(**json.loads(said_by(arguments)))
+    return Run(**json.loads(output_of(arguments)))
 
 
-def said_by(arguments: Sequence[str]) -> str:
-    """What a process of ours prints. Raises HapticdError with its last line where it fails."""
+def output_of(arguments: Sequence[str]) -> str:
+    """Run a process and return its output. Raises HapticdError with the last line on stderr if it fails."""
     process = subprocess.run(arguments, cwd=ROOT, capture_output=True, text=True)
     if process.returncode != 0:
-        last = (process.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        last = (process.stderr.strip().splitlines() or ["no message"])[-1]
         raise HapticdError(f"{' '.join(arguments[1:])} ended with {process.returncode}: {last}")
     return process.stdout
 
 
 def cyclictest(rate_hz: float, seconds: float) -> list[float]:
-    """Its latencies: PERCENTILES in ns."""
+    """Run cyclictest and return the PERCENTILES of its latencies in ns."""
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         path = Path(folder, "cyclictest.json")
         loops = round(rate_hz * (seconds + SETTLE_S))
@@ -119,7 +121,7 @@ def cyclictest(rate_hz: float, seconds: float) -> list[float]:
         thread = json.loads(path.read_text(encoding="utf-8"))["thread"]["0"]
     bins = sorted((int(latency), int(count)) for latency, count in thread["histogram"].items())
     latency, count = np.array(bins, dtype=np.float64).T
-    # Later than the histogram reaches: the worst that was, for the percentiles.
+    # Latencies beyond the histogram count as the largest latency.
     beyond = int(thread["cycles"]) - float(count.sum())
     latency, count = np.append(latency, thread["max"]), np.append(count, max(beyond, 0.0))
     percentiles: list[float] = np.percentile(latency, PERCENTILES, weights=count, method="inverted_cdf").tolist()
@@ -131,7 +133,7 @@ def _us(values: list[float]) -> str:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """On lateness and work."""
+    """Measure lateness and work at each rate, and return their section."""
     pairs, seconds = options.few(6, 2), options.few(3, 1)
     spins = options.few(3, 1)
     have = shutil.which("cyclictest") is not None
@@ -141,25 +143,25 @@ def run(options: Options, advance: Advance) -> Section:
     total = len(RATES_HZ) * (pairs * (2 if have else 1) + spins)
     done = 0
 
-    def tell(what: str) -> None:
+    def step_done(what: str) -> None:
         nonlocal done
         done += 1
         advance(done / total, what)
 
     for pair in range(pairs):
         for rate in RATES_HZ:
-            # In turns, and neither always first.
+            # In turns, and each first in half of the pairs.
             for ours in (True, False) if pair % 2 == 0 else (False, True):
                 if ours:
                     runs[rate].append(servo_process(rate, seconds, 0.0))
-                    tell(f"servo at {rate} Hz")
+                    step_done(f"servo at {rate} Hz")
                 elif have:
                     theirs[rate].append(cyclictest(rate, seconds))
-                    tell(f"cyclictest at {rate} Hz")
+                    step_done(f"cyclictest at {rate} Hz")
     for _ in range(spins):
         for rate in RATES_HZ:
             spun[rate].append(servo_process(rate, seconds, SPIN_US[rate]))
-            tell(f"servo at {rate} Hz with spin")
+            step_done(f"servo at {rate} Hz with spin")
     first = runs[RATES_HZ[0]][0]
     section = Section("The running servo")
     section.parts.append(
@@ -173,14 +175,16 @@ def run(options: Options, advance: Advance) -> Section:
     )
     section.parts.append(_work(runs, spun))
     if have:
-        section.parts.append(_beside(runs, theirs))
+        section.parts.append(_compared(runs, theirs))
         section.parts.append(_ratios(runs, theirs))
     else:
         section.parts.append(
             "**Not measured: wake-up lateness of cyclictest.** It is not installed (Debian: rt-tests). The servo alone:"
         )
-        section.parts.append(_alone("Wake-up lateness, us, without spin", runs, dict.fromkeys(RATES_HZ, 0.0), None))
-    section.parts.append(_alone("Wake-up lateness, us, with spin", spun, SPIN_US, 1000.0))
+        section.parts.append(
+            _servo_table("Wake-up lateness, us, without spin", runs, dict.fromkeys(RATES_HZ, 0.0), None)
+        )
+    section.parts.append(_servo_table("Wake-up lateness, us, with spin", spun, SPIN_US, 1000.0))
     return section
 
 
@@ -198,7 +202,7 @@ def _work(runs: dict[int, list[Run]], spun: dict[int, list[Run]]) -> Table:
     )
 
 
-def _beside(runs: dict[int, list[Run]], theirs: dict[int, list[list[float]]]) -> Table:
+def _compared(runs: dict[int, list[Run]], theirs: dict[int, list[list[float]]]) -> Table:
     rows = []
     for rate in RATES_HZ:
         ours = [run.lateness_ns for run in runs[rate]]
@@ -231,7 +235,7 @@ def _ratios(runs: dict[int, list[Run]], theirs: dict[int, list[list[float]]]) ->
     )
 
 
-def _alone(caption: str, runs: dict[int, list[Run]], spin_us: dict[int, float], aim_ns: float | None) -> Table:
+def _servo_table(caption: str, runs: dict[int, list[Run]], spin_us: dict[int, float], aim_ns: float | None) -> Table:
     rows = []
     for rate, found in runs.items():
         cells = [_us([run.lateness_ns[i] for run in found]) for i in range(3)]

@@ -1,8 +1,7 @@
-"""What a link of frames costs: stability of walls, and the shape of what each material makes the actuator do.
+"""Cost of a link with frames: stability of walls, and error of the actuator's force for each material.
 
-Everything is computed in simulation (device.sim.link) and is the same on every machine. The link is that of the
-simulated joystick: a position is one frame old when it is read, a force acts at the first frame after it was put, and
-is held until the next.
+Everything is simulated (device.sim.link), with the same results on every machine. A position is one frame old when it
+is read. A force acts from the first frame after its command until the next frame.
 """
 
 from __future__ import annotations
@@ -25,16 +24,17 @@ from hapticd.rendering.offline import Run, simulate_run
 RATE_HZ = 10_000.0
 LINKS_HZ: tuple[float | None, ...] = (None, 1000.0, 500.0, 250.0)
 WORST_MOTION_M = 100e-6
-"""A hand that has rested for a second still moves by more than this, peak to peak: five steps of the encoder."""
+"""A handle is at rest if its motion a second after that of the hand is at most five encoder steps, peak to peak."""
 TOP_N_PER_M = 1e5
-"""The stiffest wall that a configuration may have."""
+"""Largest stiffness that a configuration may have."""
 SPEEDS_M_PER_S = (0.05, 0.1, 0.2)
+"""Speeds at which the hand approaches a wall."""
 TAP_M_PER_S = 0.05
 STROKE_M_PER_S = 0.1
 PHASES = 8
-"""Onsets at as many places within a frame; the worst is reported."""
+"""Number of positions of the onset within a frame; the worst result is reported."""
 MASS_KG = 0.05
-SHOWN = (
+SHOWN_MATERIALS = (
     *("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel", "cellophane", "comb"),
     *("comb_2400um_vibration", "comb_2400um_geometry", "comb_2400um_damping", "sticky"),
     *("sandpaper_60", "sandpaper_100", "sandpaper_400", "sandpaper_600"),
@@ -54,9 +54,9 @@ def _name(link_hz: float | None) -> str:
 
 
 def unrest_m(stiffness: float, link_hz: float | None) -> float:
-    """How far a handle still moves, peak to peak, a second after the hand has pressed it onto a wall and rests.
+    """Return the motion of the handle in m, peak to peak, a second after the hand has pressed it onto a wall.
 
-    The default joystick and hand, which wants to be 3 mm inside; the worst of several speeds of approach.
+    The default hand presses the default joystick to 3 mm inside; the result is the worst over SPEEDS_M_PER_S.
     """
     config = {
         "device": {"sim": {"link": _link(link_hz)}},
@@ -73,7 +73,7 @@ def unrest_m(stiffness: float, link_hz: float | None) -> float:
 
 
 def stiffest(link_hz: float | None) -> float:
-    """The largest stiffness without a limit cycle, N/m, by bisection to 1 %; TOP_N_PER_M where even that has none."""
+    """Return the largest stiffness without a limit cycle in N/m, by bisection to 1 %, at most TOP_N_PER_M."""
     low, high = 10.0, TOP_N_PER_M
     if unrest_m(high, link_hz) <= WORST_MOTION_M:
         return high
@@ -94,7 +94,7 @@ def _stability(advance: Advance) -> Table:
     rows = []
     for index, link_hz in enumerate(LINKS_HZ):
         found = stiffest(link_hz)
-        # Read a frame late, acting a frame after that, and held for one: half a frame on average.
+        # A force acts two frames after its position was measured, and is held for one frame: half a frame on average.
         age_s = 0.5 / RATE_HZ if link_hz is None else 2.5 / link_hz
         bound = damping / age_s
         stable = "yes" if found > library else "**no**"
@@ -112,7 +112,7 @@ def _stability(advance: Advance) -> Table:
 
 
 def _held(link_hz: float | None) -> dict[str, Any]:
-    """An ideal joystick that a hand carries along its way whatever the force: the same motion behind every link."""
+    """Return an ideal joystick with a hand that no force deflects: the motion is the same with every link."""
     return {
         "handle_mass_kg": MASS_KG,
         "handle_damping_n_s_per_m": 0,
@@ -136,7 +136,7 @@ def _run(material: str, kind: str, link_hz: float | None, waypoints: list[list[f
 
 
 def delivered(commands: Floats, link_hz: float | None) -> Floats:
-    """What the actuator does in each tick when `commands` [n][2] are put at them: the simulated joystick's own link."""
+    """Return the force of the actuator in each of n ticks, (n, 2), for `commands` (n, 2) over the simulated link."""
     config = load_config({"device": {"sim": _held(link_hz)}})
     sim = new_sim(config.device.sim, RATE_HZ)
     position, velocity, force = (ffi.new("double[2]") for _ in range(3))
@@ -150,14 +150,16 @@ def delivered(commands: Floats, link_hz: float | None) -> Floats:
 
 
 def _best(error_of_delay: dict[float, float]) -> tuple[float, float]:
-    """The delay with the least error, and that error."""
+    """Return the delay with the smallest error, and this error."""
     delay = min(error_of_delay, key=lambda each: error_of_delay[each])
     return delay, error_of_delay[delay]
 
 
 def struck_error(name: str, material: Material, link_hz: float | None) -> tuple[float, float] | None:
-    """A tap, or a rupture, against its closed form: delay in s (mean), and what is left of the error once the closed
-    form is delayed by it, as a fraction of the closed form's RMS (worst). None where nothing sounds."""
+    """Return mean delay in s and worst error of a tap or rupture; None if it is silent.
+
+    The error is relative to the RMS of the closed form, which is delayed by the best delay.
+    """
     ruptures = material.rupture is not None
     mode: Mode
     if material.rupture is not None:
@@ -169,8 +171,8 @@ def struck_error(name: str, material: Material, link_hz: float | None) -> tuple[
     delays, errors = [], []
     for phase in range(PHASES):
         start = 0.01 + TAP_M_PER_S * frame_s * phase / PHASES
-        lasting_s = (start + depth) / TAP_M_PER_S + max(0.05, 6 / mode.decay_rate_per_s)
-        path = [[0, 0, start], [lasting_s, 0, start - TAP_M_PER_S * lasting_s]]
+        end_s = (start + depth) / TAP_M_PER_S + max(0.05, 6 / mode.decay_rate_per_s)
+        path = [[0, 0, start], [end_s, 0, start - TAP_M_PER_S * end_s]]
         run = _run(name, "membrane" if ruptures else "wall", link_hz, path, force=False)
         assert run.truth is not None
         if not run.samples["vibration_force_n"].any():
@@ -207,8 +209,10 @@ def struck_error(name: str, material: Material, link_hz: float | None) -> tuple[
 
 
 def stroked_error(name: str, link_hz: float) -> tuple[float, float] | None:
-    """A stroke behind a link against the same stroke without: as struck_error, of the force's changes. None where
-    nothing sounds."""
+    """Return mean delay in s and worst error of the force's changes in a stroke; None if the texture is silent.
+
+    The reference is the same stroke without a link.
+    """
     ticks = round(RATE_HZ / link_hz)
     delays, errors = [], []
     for phase in range(0, PHASES, 2):
@@ -239,7 +243,7 @@ def _cell(found: tuple[float, float] | None) -> str:
 
 def _materials(advance: Advance) -> Table:
     rows = []
-    for index, name in enumerate(SHOWN):
+    for index, name in enumerate(SHOWN_MATERIALS):
         material = shipped_materials()[name]
         struck = material.tap is not None or material.rupture is not None
         cells = []
@@ -249,7 +253,7 @@ def _materials(advance: Advance) -> Table:
             else:
                 cells.append("reference" if link_hz is None else _cell(stroked_error(name, link_hz)))
         rows.append([name, _frequency(material), *cells])
-        advance(0.3 + 0.7 * (index + 1) / len(SHOWN), name)
+        advance(0.3 + 0.7 * (index + 1) / len(SHOWN_MATERIALS), name)
     return Table(
         "Error of the actuator's force, and its delay",
         ["material", "Hz", *(f"link {_name(link_hz)}" for link_hz in LINKS_HZ)],
@@ -273,7 +277,7 @@ def _frequency(material: Material) -> str:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """Both tables; there is nothing to shorten in a quick run."""
+    """Return the section with stability and materials; a quick run computes the same."""
     sim = Sim()
     return Section(
         "Links",
@@ -300,11 +304,11 @@ def run(options: Options, advance: Advance) -> Section:
 
 
 def write_into(page: Path, section: Section) -> None:
-    """Puts the section's text between the marks of a page. Raises ValueError for a page without them."""
+    """Write the text of a section between BEGIN and END in a page. Raises ValueError for a page without these marks."""
     text = page.read_text(encoding="utf-8")
     found, count = re.subn(
         f"{re.escape(BEGIN)}.*?{re.escape(END)}", lambda _: f"{BEGIN}\n{section.body()}\n\n{END}", text, flags=re.DOTALL
     )
     if count != 1:
-        raise ValueError(f"{page} has no place for the tables of the link")
+        raise ValueError(f"{page} lacks the marks around the tables of the link")
     page.write_text(found, encoding="utf-8")

@@ -1,15 +1,14 @@
-"""Random closed loops with everything in them: does what is called safe come to rest, and what is the hand given?
+"""Random closed loops: do loops that the margin calls safe come to rest, and how much energy does the hand get?
 
     python -m bench.loops [--count 10000] [--first 0] [--kind KIND]...
 
-A loop is a device, a hand that presses and slides and then holds still, and a scene: a wall, plain, of patches or
-with textures, a corner, flush boxes with seams, a disc pressed to its centre, or several of these on one another.
-Stiffnesses are 0.3 to 1 of what its margin says is safe; a scene whose margin is not safe, or of which `hapticd check`
-warns of anything, is drawn anew. Each loop runs with the passivity controller off and with it, for at most ten
-simulated minutes; `hapticd.rendering.end_state` says whether it rests. One that goes on is run again without
-vibration: what rests then was driven by its own texture.
+A loop is a device, a hand that presses, slides and then rests, and a scene: a wall, plain, of patches or with textures,
+a corner, flush boxes with seams, a disc pressed to its centre, or several of these that overlap. Stiffnesses are 0.3 to
+1 of the safe stiffness. A scene that is not safe, or has a warning of `hapticd check`, is drawn again. Each loop runs
+with and without the passivity controller, for at most ten simulated minutes, until `hapticd.rendering.end_state` is
+certain that it rests. A loop that does not rest is run again without vibration: if it then rests, its texture drove it.
 
-The energy given to the hand is summed from samples and from the handle's own positions, here and not by the servo.
+The energy given to the hand is the sum over samples and true positions of the handle; the servo's sum is not used.
 """
 
 from __future__ import annotations
@@ -37,62 +36,63 @@ Mode: TypeAlias = Literal["observe", "control"]
 Tree: TypeAlias = dict[str, Any]
 
 LONGEST_S: Final = 600.0
+"""Longest simulated time of a loop."""
 AFTER_S: Final = 0.5
-"""So long after the hand's reference has come to rest energy is summed."""
-TRIES: Final = 40
-"""Scenes drawn for a loop until one is called safe."""
+"""Time after the last motion of the hand's reference until which energy is summed."""
+MAX_SCENES: Final = 40
+"""Maximum number of scenes that are drawn until one is safe."""
 
 
-# ---- What is drawn -------------------------------------------------------------------------------------------------
+# ---- Random loops --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One loop."""
+    """A random loop that the margin calls safe."""
 
     seed: int
     kind: Kind
     source: Tree
     waypoints: list[list[float]]
     factor: float
-    """The stiffnesses may be so many times as large."""
+    """Factor by which all stiffnesses may grow until the loop is no longer proved safe."""
 
     @property
     def rate_hz(self) -> float:
-        """Of the servo."""
+        """Rate of the servo."""
         return float(self.source["servo"]["rate_hz"])
 
     @property
     def age(self) -> int:
-        """How old a position is when it is read, in whole periods."""
+        """Age of a position when the servo reads it, rounded up to periods."""
         return math.ceil(float(self.source["device"]["sim"].get("report_delay_s", 0.0)) * self.rate_hz)
 
     def config(self, mode: Mode, vibration: bool = True) -> Config:
-        """As a configuration."""
+        """Return the configuration of the loop with this mode of the passivity controller."""
         scene = {**self.source["scene"], "passivity": mode, "display": {"force": True, "vibration": vibration}}
         return load_config({**self.source, "scene": scene})
 
 
 class Drawer:
-    """Draws the parts of a loop."""
+    """Draws the values of a loop at random."""
 
     def __init__(self, random: np.random.Generator) -> None:
         self._random = random
 
     def between(self, low: float, high: float) -> float:
-        """Uniformly."""
+        """Return a uniformly distributed number."""
         return float(self._random.uniform(low, high))
 
     def log(self, low: float, high: float) -> float:
-        """Uniformly in its logarithm."""
+        """Return a log-uniformly distributed number."""
         return math.exp(self.between(math.log(low), math.log(high)))
 
-    def chance(self, part: float) -> bool:
-        """True in this part of the draws."""
-        return bool(self._random.random() < part)
+    def chance(self, probability: float) -> bool:
+        """Return True with this probability."""
+        return bool(self._random.random() < probability)
 
     def device(self, rate_hz: float) -> Tree:
-        """Joystick and hand."""
+        """Return a simulated joystick with a hand."""
         sim: Tree = {
             "handle_mass_kg": self.log(0.02, 0.2),
             "handle_damping_n_s_per_m": self.log(0.1, 5.0),
@@ -112,7 +112,7 @@ class Drawer:
         return sim
 
     def texture(self, rate_hz: float) -> Tree:
-        """Grooves, shown in one of three ways, or noise up to what the limit leaves."""
+        """Return grooves with one of three displays, or noise."""
         spacing_m = self.log(0.001, 0.006)
         grooves = {"kind": "grooves", "spacing_m": spacing_m, "width_m": self.between(0.3, 1.0) * spacing_m}
         match int(self._random.integers(4)):
@@ -129,7 +129,7 @@ class Drawer:
                 return {"kind": "stochastic", "peak_hz": peak_hz, "mean_hz": 1.4 * peak_hz, **gains}
 
     def material(self, rate_hz: float, textured: bool) -> Tree:
-        """Of stiffness 1, which is scaled later."""
+        """Return a material with a stiffness of about 1, which is scaled later."""
         material: Tree = {"stiffness_n_per_m": self.log(0.3, 3.0)}
         if self.chance(0.4):
             material["friction"] = {"coefficient": self.between(0.05, 1.0), "stiffness_n_per_m": self.log(0.3, 3.0)}
@@ -140,7 +140,7 @@ class Drawer:
         return material
 
     def objects(self, kind: Kind) -> Tree:
-        """The scene; its top is at y = 0, about x = 0."""
+        """Return the objects of a scene with its top at y = 0, near x = 0."""
         floor = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "a"}
         if kind == "patches":
             cuts = sorted(self.between(-0.015, 0.015) for _ in range(3))
@@ -183,20 +183,19 @@ class Drawer:
         return {"floor": floor}
 
     def waypoints(self, kind: Kind, press_m: float) -> list[list[float]]:
-        """In, along, half out, in again; there the hand stays."""
+        """Return the hand's waypoints: in, along the surface, partly out, and in again."""
         points = [[0.0, 0.0 if kind == "corner" else self.between(-0.01, 0.01), 0.02 if kind == "mixed" else 0.005]]
-        for part in (1.0, 1.0, 0.3, 1.0):
-            along_m, deep_m = self.between(-0.015, 0.015), -part * press_m
+        for fraction in (1.0, 1.0, 0.3, 1.0):
+            along_m, deep_m = self.between(-0.015, 0.015), -fraction * press_m
             points.append([points[-1][0] + self.between(0.05, 0.3), along_m, deep_m])
         return points
 
 
 def _scaled(source: Tree, factor: float) -> Tree:
-    """The same with all stiffnesses so many times as large, as far as they go."""
+    """Return the configuration with all stiffnesses multiplied by `factor`, from 1e-2 to 9e4 N/m."""
     materials = {}
     for name, material in source["materials"].items():
-        most = min(9e4, max(1e-2, factor * material["stiffness_n_per_m"]))
-        scaled = {**material, "stiffness_n_per_m": most}
+        scaled = {**material, "stiffness_n_per_m": min(9e4, max(1e-2, factor * material["stiffness_n_per_m"]))}
         if "friction" in material:
             stiffness = min(9e4, max(1e-2, factor * material["friction"]["stiffness_n_per_m"]))
             scaled["friction"] = {**material["friction"], "stiffness_n_per_m": stiffness}
@@ -205,10 +204,10 @@ def _scaled(source: Tree, factor: float) -> Tree:
 
 
 def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
-    """A loop of which `check` says nothing; None where no scene of TRIES is such."""
+    """Return a loop without a warning of `hapticd check`; None if none of MAX_SCENES scenes is safe."""
     drawer = Drawer(np.random.default_rng(seed))
     kind = kinds[seed % len(kinds)]
-    for _ in range(TRIES):
+    for _ in range(MAX_SCENES):
         rate_hz = drawer.log(1000.0, 10_000.0)
         sim = drawer.device(rate_hz)
         textured = kind not in ("wall", "corner")
@@ -219,18 +218,18 @@ def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
             "materials": {name: drawer.material(rate_hz, textured) for name in "abc"},
             "scene": {"objects": drawer.objects(kind)},
         }
-        # Flanks and ramps between materials are judged under 1 N: what the hand may press with at most.
+        # The margin of flanks and ramps between materials assumes at most 1 N, so the hand presses with at most 1 N.
         press_m = drawer.between(0.2, 1.0) / sim["hand"]["stiffness_n_per_m"]
         waypoints = drawer.waypoints(kind, press_m)
         sim["start_m"] = waypoints[0][1:]
         source = _scaled(source, 100.0)
-        part = drawer.between(0.3, 1.0)
-        for _ in range(3):  # not all of them scale with stiffness
+        fraction = drawer.between(0.3, 1.0)
+        for _ in range(3):  # repeated, since some margins do not scale with stiffness
             sets = evaluated(load_config(source))
             factor = float(sets.factor.min())
-            if not 1e-6 < factor < 1e6 or (bool(sets.safe.all()) and factor < 1.1 / part):
+            if not 1e-6 < factor < 1e6 or (bool(sets.safe.all()) and factor < 1.1 / fraction):
                 break
-            source = _scaled(source, 0.999 * part * factor)
+            source = _scaled(source, 0.999 * fraction * factor)
         config = load_config(source)
         sets = evaluated(config)
         if bool(sets.safe.all()) and float(sets.factor.min()) > 0.0 and check(config).faults == 0:
@@ -238,37 +237,40 @@ def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
     return None
 
 
-# ---- What becomes of it --------------------------------------------------------------------------------------------
+# ---- Simulated loops -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a loop."""
+    """Result of a simulated loop."""
 
     end: EndState
     given_j: float
-    """The most that touched objects gave to the hand in a contact, without vibration."""
+    """Largest energy that touched objects gave to the hand in a contact, without vibration."""
     bound_j: float
-    """F_max v_max (T + a), a the age of a position in whole periods."""
+    """F_max v_max (T + a), with the age a of a position rounded up to periods."""
     restrained: int
-    """Ticks in which the controller acted."""
+    """Number of ticks in which the passivity controller acted."""
     samples: Any
-    """Those up to AFTER_S after the hand's reference rests."""
+    """The samples up to AFTER_S after the last motion of the hand's reference."""
 
     @property
     def rests(self) -> bool:
-        """In the end."""
+        """Whether the loop comes to rest."""
         return self.end.fate == "rests"
 
     @property
-    def part(self) -> float:
-        """What was given, of the bound."""
+    def fraction(self) -> float:
+        """The energy given to the hand, as a fraction of the bound."""
         return self.given_j / self.bound_j
 
 
 def given(case: Case, mode: Mode) -> float:
-    """The most, J, that touched objects give to the hand in a contact: without vibration, whose part of a force at the
-    limit samples do not tell. No fields, forces on: every force is theirs."""
+    """Return the largest energy in J that touched objects give to the hand in a contact.
+
+    Vibration is off, since samples do not show its contribution to a limited force. Without fields, every force is that
+    of touched objects.
+    """
     loop = Simulation(CompiledScene(case.config(mode, vibration=False)), case.waypoints)
     samples, truth, _ = loop.run(case.waypoints[-1][0] + AFTER_S)
     touched = (samples["flags"] & Flag.CONTACT) != 0
@@ -276,7 +278,7 @@ def given(case: Case, mode: Mode) -> float:
 
 
 def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
-    """Runs a loop until its end is certain."""
+    """Run a loop until it is certain how its motion ends."""
     config = case.config(mode)
     loop = Simulation(CompiledScene(config), case.waypoints)
     device = config.device
@@ -290,15 +292,15 @@ def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
     )
 
 
-def drives_itself(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> bool:
-    """Whether it rests without vibration."""
+def rests_without_vibration(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> bool:
+    """Return whether the loop rests without vibration."""
     loop = Simulation(CompiledScene(case.config(mode, vibration=False)), case.waypoints)
     loop.advance(case.waypoints[-1][0] + AFTER_S)
     return end_state(loop.advance, longest_s).fate == "rests"
 
 
 def changed_n(off: Outcome, control: Outcome) -> float:
-    """The largest difference between the commands with the controller and without it; 0 where it never acted."""
+    """Return the largest difference in N of the forces with and without the controller; 0 if it never acted."""
     if control.restrained == 0:
         return 0.0
     return float(np.hypot(*(off.samples["force_n"] - control.samples["force_n"]).T).max())
@@ -306,46 +308,46 @@ def changed_n(off: Outcome, control: Outcome) -> float:
 
 @dataclass(slots=True)
 class Counts:
-    """What became of many."""
+    """Results of many loops."""
 
     drawn: Counter[str] = field(default_factory=Counter)
-    told: dict[str, Counter[str]] = field(default_factory=dict)
-    """What was found, and of how many of a kind."""
-    part: float = 0.0
-    """The most that was given under control, of the bound."""
+    findings: dict[str, Counter[str]] = field(default_factory=dict)
+    """For each finding, the number of loops by kind."""
+    fraction: float = 0.0
+    """Largest energy given to the hand with the controller, as a fraction of the bound."""
     changed_n: float = 0.0
     longest_s: float = 0.0
 
-    def look(self, case: Case) -> str:
-        """Runs a loop; a line, empty where there is nothing to tell."""
+    def run(self, case: Case) -> str:
+        """Run a loop, and return a line with its findings; empty without findings."""
         off, control = settle(case, "observe"), settle(case, "control")
         change_n = changed_n(off, control)
         self.drawn[case.kind] += 1
-        self.part = max(self.part, control.part)
+        self.fraction = max(self.fraction, control.fraction)
         self.changed_n = max(self.changed_n, change_n)
         self.longest_s = max(self.longest_s, off.end.after_s, control.end.after_s)
         found = []
         if not off.rests:
-            found.append("driven by its own texture" if drives_itself(case, "observe") else "does not rest")
+            found.append("driven by its own texture" if rests_without_vibration(case, "observe") else "does not rest")
         if off.rests and not control.rests:
-            driven = drives_itself(case, "control")
+            driven = rests_without_vibration(case, "control")
             found.append("driven by its own texture" if driven else "does not rest under control")
-        if off.part > 1.0:
+        if off.fraction > 1.0:
             found.append("gives more than the bound without the controller")
-        if control.part > 1.0:
+        if control.fraction > 1.0:
             found.append("gives more than the bound")
         if change_n > 0.0:
             found.append("changed by the controller")
         for what in found:
-            self.told.setdefault(what, Counter())[case.kind] += 1
-        told = f"seed {case.seed} {case.kind}: {off.end.fate}, with control {control.end.fate}, "
-        told += f"{off.end.peak_m_per_s:.2g} m/s after {off.end.after_s:g} s; given {off.part:.3g} of the bound, with "
-        told += f"control {control.part:.3g}; the controller acted in {control.restrained} ticks, {change_n:.3g} N"
-        return f"{told}: {', '.join(found)}" if found else ""
+            self.findings.setdefault(what, Counter())[case.kind] += 1
+        line = f"seed {case.seed} {case.kind}: {off.end.fate}, with control {control.end.fate}, "
+        line += f"{off.end.peak_m_per_s:.2g} m/s after {off.end.after_s:g} s; given {off.fraction:.3g} of the bound, "
+        line += f"with control {control.fraction:.3g}; the controller acted in {control.restrained} ticks, "
+        return f"{line}{change_n:.3g} N: {', '.join(found)}" if found else ""
 
 
 def main() -> None:
-    """Draws and runs, and tells."""
+    """Run random loops, and print the findings."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0)
@@ -357,15 +359,15 @@ def main() -> None:
         case = draw(seed, kinds)
         if case is None:
             unsafe += 1
-        elif line := counts.look(case):
+        elif line := counts.run(case):
             print(line, flush=True)
     print(
-        f"{counts.drawn.total()} loops in {time.monotonic() - began:.0f} s: {dict(counts.drawn)}; of {unsafe} no scene "
-        f"was safe; given under control at most {counts.part:.3g} of the bound; changed by the controller by at most "
-        f"{counts.changed_n:.3g} N; the end was certain after {counts.longest_s:g} s at most"
+        f"{counts.drawn.total()} loops in {time.monotonic() - began:.0f} s: {dict(counts.drawn)}; {unsafe} seeds have "
+        f"no safe scene; given with the controller: at most {counts.fraction:.3g} of the bound; changed by the "
+        f"controller: at most {counts.changed_n:.3g} N; the end was certain after at most {counts.longest_s:g} s"
     )
-    for what, kinds_of in counts.told.items():
-        print(f"  {what}: {kinds_of.total()}, {dict(kinds_of)}")
+    for what, by_kind in counts.findings.items():
+        print(f"  {what}: {by_kind.total()}, {dict(by_kind)}")
 
 
 if __name__ == "__main__":

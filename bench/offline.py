@@ -1,4 +1,4 @@
-"""Ticks a second without a clock: hapticd.render and hapticd.simulate as a user calls them."""
+"""Ticks per second of hapticd.render and hapticd.simulate, as a user calls them, without a clock."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONFIG = {"scene": {"objects": {"floor": {"kind": "wall", "point_m": [0, 0], "no
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """The table of it."""
+    """Measure ticks per second, and return the section."""
     count, rounds = options.few(1_000_000, 100_000), options.few(9, 3)
     turn = 2 * np.pi * 2.0 * np.arange(count) / RATE_HZ
     path = np.stack((0.01 * np.cos(turn), 0.004 * np.sin(turn)), 1)

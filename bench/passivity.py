@@ -1,8 +1,8 @@
-"""Random walls and corners, most of them far from stable, with the passivity controller off and on.
+"""Energy that random walls and corners, most of them unstable, give to the hand with and without passivity control.
 
-Each case is the closed loop of tick and simulated joystick. What the hand is given in one contact is the sum of
-f.(x' - x) over its ticks, f the force as it was commanded and x the handle's own position; what is told is the largest
-value that the sum reaches, over F_max v_max T.
+Each case is the closed loop of tick and simulated joystick. The energy of a contact is the sum of f.(x' - x) over its
+ticks, with the commanded force f and the true position x of the handle. The result is the largest value that this sum
+reaches, relative to F_max v_max T.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ if TYPE_CHECKING:
 
 MAX_FORCE_N: Final = 8.9
 MAX_SPEED_M_PER_S: Final = 5.0
-LASTING_S: Final = 0.6
+DURATION_S: Final = 0.6
+"""Duration of a case."""
 HANDLE_DAMPING: Final = 0.2
+"""Damping of the handle in N s/m."""
 
 Group: TypeAlias = Literal["exact", "encoder", "delay"]
 Mode: TypeAlias = Literal["off", "observe", "control"]
@@ -44,39 +46,39 @@ GROUPS: Final[Mapping[Group, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One wall, or two that meet, and who presses on it. SI units."""
+    """One wall or a corner of two walls, and the hand that presses. SI units."""
 
     rate_hz: float
     stiffness: float
     damping: float
     friction: float
     corner_rad: float
-    """The angle between two walls; pi: there is one."""
+    """The angle between two walls; pi stands for a single wall."""
     encoder_step_m: float
     delay_s: float
     coulomb_n: float
     light: bool
-    """A light handle that nobody holds, drawn by a weak spring, in place of the default hand."""
+    """Whether a weak spring pulls a light handle, instead of the default hand."""
     depth_m: float
     slide_m: float
 
     @property
     def bound_j(self) -> float:
-        """F_max v_max T."""
+        """The bound F_max v_max T of the energy."""
         return MAX_FORCE_N * MAX_SPEED_M_PER_S / self.rate_hz
 
     @property
     def age(self) -> int:
-        """How old a position is when it is read, in whole periods."""
+        """Age of a position when the servo reads it, rounded up to periods."""
         return int(np.ceil(self.delay_s * self.rate_hz))
 
     def config(self, passivity: Mode) -> dict[str, object]:
-        """The case as a configuration."""
+        """Return the configuration of the case."""
         material: dict[str, object] = {"stiffness_n_per_m": self.stiffness, "damping_n_s_per_m": self.damping}
         if self.friction:
             material["friction"] = {"coefficient": self.friction}
         half = 0.5 * self.corner_rad
-        # Two faces that leave corner_rad between them, open upwards.
+        # Two walls with the angle corner_rad between them, open upwards.
         normals = {"left": [np.cos(half), np.sin(half)], "right": [-np.cos(half), np.sin(half)]}
         objects = {
             name: {"kind": "wall", "point_m": [0, 0], "normal": normal, "material": "it"}
@@ -104,7 +106,7 @@ class Case:
         }
 
     def waypoints(self) -> list[list[float]]:
-        """The hand's reference: in, along, half out, in again and out."""
+        """Return the hand's waypoints: in, along the surface, partly out, in again and out."""
         deep, along = -self.depth_m, self.slide_m
         reach = 10.0 if self.light else 1.0
         return [
@@ -113,12 +115,12 @@ class Case:
             [0.25, along, reach * deep],
             [0.35, along, 0.3 * reach * deep],
             [0.45, 0.0, reach * deep],
-            [LASTING_S, 0.0, 0.004],
+            [DURATION_S, 0.0, 0.004],
         ]
 
 
 def draw(seed: int, group: Group) -> Case:
-    """A random case; `group` says what lies between the handle and what the servo knows of it."""
+    """Return a random case; `group` selects exact positions, encoder steps or delayed positions."""
     random = np.random.default_rng([seed, list(GROUPS).index(group)])
     rate_hz = 1000.0 * 10.0 ** random.uniform(0, 1)
     limit = 2.0 * HANDLE_DAMPING * rate_hz
@@ -140,42 +142,42 @@ def draw(seed: int, group: Group) -> Case:
 
 
 class Energy(NamedTuple):
-    """What the touched objects gave to the hand, as far as the passivity observer saw it."""
+    """The energy that touched objects gave to the hand, as summed by the passivity observer."""
 
     energy_j: float
-    """In this contact, or in the last one; below zero: the hand gave more than it got."""
+    """Energy of the current or last contact; negative if the hand gave more than it received."""
     largest_j: float
-    """The largest so far in any contact."""
+    """Largest energy of any contact so far."""
     contacts: int
-    """From the first touch to the last release."""
+    """Number of contacts, each from the first touch of an object to the last release."""
     restrained: int
-    """Of them, those in which the controller acted."""
+    """Number of contacts in which the controller acted."""
     acted: int
-    """Ticks in which it did."""
+    """Number of ticks in which the controller acted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What a run gave to the hand."""
+    """The energy that a run gave to the hand."""
 
     true_j: float
-    """The largest sum over one contact, over the handle's own positions."""
+    """Largest energy of a contact, from the true positions of the handle."""
     energy: Energy
-    """What the observer says."""
+    """The energy according to the passivity observer."""
     speed_m_per_s: float
-    """The handle's largest."""
+    """Largest speed of the handle."""
     ticks: int
 
 
 def energy_of(state: CData) -> Energy:
-    """Of a `struct hd_state`."""
+    """Return the energy in a `struct hd_state`."""
     raw = ffi.new("struct hd_energy *")
     lib.hd_state_energy(state, raw)
     return Energy(raw.energy_j, raw.largest_j, raw.contacts, raw.restrained, raw.acted)
 
 
 def simulated(case: Case, passivity: Mode) -> Given:
-    """The case, closed loop."""
+    """Simulate the closed loop of a case."""
     config = load_config(case.config(passivity))
     compiler = Compiler(output_of(config, case.rate_hz))
     world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
@@ -185,7 +187,7 @@ def simulated(case: Case, passivity: Mode) -> Given:
     lib.hd_sim_settle(sim)
     state = ffi.gc(lib.hd_state_new(2), lib.hd_state_free)
     lib.hd_state_set_resolution(state, case.encoder_step_m)
-    count = round(LASTING_S * case.rate_hz)
+    count = round(DURATION_S * case.rate_hz)
     samples, truth = records(SAMPLE_DTYPE, count), np.empty((count, 4))
     events, found = records(EVENT_DTYPE, 4 * count), ffi.new("size_t *")
     status = lib.hd_simulate(
@@ -201,18 +203,15 @@ def simulated(case: Case, passivity: Mode) -> Given:
     )
     if status != Status.OK:
         raise RuntimeError(invalid_reason())
-    force = samples["force_n"]  # nothing rings
+    force = samples["force_n"]  # without vibration: the material has no tap
     touched = (samples["flags"] & Flag.CONTACT) != 0
     return Given(
-        given_j(force, truth[:, :2], touched, case.age),
-        energy_of(state),
-        float(np.hypot(*truth[:, 2:].T).max()),
-        count,
+        given_j(force, truth[:, :2], touched, case.age), energy_of(state), float(np.hypot(*truth[:, 2:].T).max()), count
     )
 
 
 def given(point: SweepPoint) -> dict[str, float]:
-    """A point of studies/passivity.yaml."""
+    """Return energy and bounds at a point of studies/passivity.yaml."""
     case = draw(point.parameters["case"], point.parameters["positions"])
     run = simulated(case, point.parameters["passivity"])
     return {
@@ -250,7 +249,7 @@ def _counts(options: Options, advance: Advance) -> list[str | Table]:
                 ]
             )
     text = (
-        f"{len(GROUPS) * many} seeded cases (`bench/passivity.py`, `draw`), each of {LASTING_S:g} s with the "
+        f"{len(GROUPS) * many} seeded cases (`bench/passivity.py`, `draw`), each of {DURATION_S:g} s with the "
         f"controller off and on, {contacts} contacts: one wall or a corner of 10 to 170 degrees, 1 to 10 kHz, "
         "stiffness of 0.5 to 100 times the passive stiffness, a third with wall damping of 0.1 to 300 N s/m, a third "
         "with friction, the default hand or a released handle of 20 g. "
@@ -291,8 +290,8 @@ def _cost(options: Options, advance: Advance) -> Table:
     for place, (name, pressed) in enumerate({"wall out of reach": False, "wall in contact": True}.items()):
         scenes = {mode: _stretch(mode, pressed) for mode in ("off", "observe", "control")}
         wanted = dict.fromkeys(scenes, Flag.CONTACT if pressed else Flag(0))
-        tell = between(advance, place / 2, (place + 1) / 2, "cost")
-        taken = measured(scenes, wanted, Flag.CONTACT, rounds, calls * STRETCH, tell)
+        progress = between(advance, place / 2, (place + 1) / 2, "cost")
+        taken = measured(scenes, wanted, Flag.CONTACT, rounds, calls * STRETCH, progress)
         more = [np.subtract(taken[mode], taken["off"]) for mode in ("observe", "control")]
         rows.append(
             [name, *(spread(values, ".1f") for values in taken.values()), *(spread(each, ".1f") for each in more)]
@@ -305,7 +304,7 @@ def _cost(options: Options, advance: Advance) -> Table:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """Counts over random walls and corners, and what a tick pays."""
+    """Return the section with the energies of random cases and the cost of a tick."""
     counts = _counts(options, lambda part, what: advance(0.7 * part, what))
     cost = _cost(options, lambda part, what: advance(0.7 + 0.3 * part, what))
     return Section("Passivity observer and controller", [*counts, cost])

@@ -1,4 +1,4 @@
-"""Tables on the terminal and in Markdown, the machine they were measured on, and the statistics they show."""
+"""Sections and tables of the benchmarks, on the terminal and in Markdown, and the description of the machine."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from rich.table import Table as RichTable
 ROOT = Path(__file__).resolve().parent.parent
 Floats = npt.NDArray[np.float64]
 Advance = Callable[[float, str], None]
-"""Progress of a measurement: the part that is done, 0 to 1, and what is under way."""
+"""A function that gets the progress of a benchmark: the completed fraction, and the current step."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How much is measured."""
+    """Options of all benchmarks."""
 
     quick: bool = False
-    """Fewer repetitions everywhere: shows that it runs, not how fast."""
+    """Use few repetitions: the benchmarks run, but the figures are not precise."""
 
     def few(self, many: int, few: int) -> int:
-        """`many`, or `few` in a quick run."""
+        """Return `few` in a quick run, otherwise `many`."""
         return few if self.quick else many
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of text under a caption."""
+    """A table of texts with a caption."""
 
     caption: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
 
     def markdown(self) -> str:
-        """The table in Markdown, numbers to the right."""
+        """Return the table in Markdown; all columns except the first are aligned to the right."""
         rule = "| --- |" + " ---: |" * (len(self.columns) - 1)
         lines = [self.caption, "", "| " + " | ".join(self.columns) + " |", rule]
         return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in self.rows)])
 
     def rich(self) -> RichTable:
-        """The table on the terminal."""
+        """Return the table for the terminal."""
         table = RichTable(title=self.caption, title_justify="left", title_style="", expand=False)
         for index, column in enumerate(self.columns):
             table.add_column(column, justify="right" if index else "left")
@@ -58,44 +58,44 @@ class Table:
 
 @dataclass(slots=True)
 class Section:
-    """What one measurement found: paragraphs and tables, in their order."""
+    """The results of one benchmark: paragraphs and tables, in order."""
 
     title: str
     parts: list[str | Table] = field(default_factory=list)
 
     def body(self) -> str:
-        """The section in Markdown, without its title."""
+        """Return the section in Markdown without its title."""
         return "\n\n".join(part if isinstance(part, str) else part.markdown() for part in self.parts)
 
     def markdown(self) -> str:
-        """The whole section in Markdown."""
+        """Return the section in Markdown with its title."""
         return f"## {self.title}\n\n{self.body()}"
 
     def show(self, console: Console) -> None:
-        """The section on the terminal."""
+        """Print the section on the terminal."""
         console.print(f"\n[bold]{self.title}[/bold]")
         for part in self.parts:
             console.print(part if isinstance(part, str) else part.rich(), markup=False, highlight=False)
 
 
 def between(advance: Advance, begin: float, end: float, what: str) -> Callable[[float], None]:
-    """Tells progress of a part, 0 to 1, as that of the whole from `begin` to `end`."""
-    return lambda part: advance(begin + (end - begin) * part, what)
+    """Return a function for the progress of a step, which takes the benchmark from `begin` to `end`."""
+    return lambda fraction: advance(begin + (end - begin) * fraction, what)
 
 
 def spread(values: Sequence[float] | Floats, form: str = ".3g", scale: float = 1.0) -> str:
-    """Median, and from the tenth to the ninetieth percentile."""
+    """Return the median, and in brackets the tenth and ninetieth percentile, as text."""
     low, middle, high = np.percentile(np.asarray(values, dtype=np.float64) * scale, [10, 50, 90])
     return f"{middle:{form}} ({low:{form}} to {high:{form}})"
 
 
 def verdict(value: float, aim: float, *, above: bool = False) -> str:
-    """Whether an aim was reached."""
+    """Return as text whether a value reaches its aim: at most `aim`, or with `above` more than it."""
     return "yes" if (value > aim if above else value <= aim) else "**no**"
 
 
 def machine() -> str:
-    """What was measured on, as a paragraph."""
+    """Return a paragraph about this machine."""
     info = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     model = re.search(r"model name\s*:\s*(.*)", info)
     virtual = "hypervisor" in info

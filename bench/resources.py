@@ -1,4 +1,4 @@
-"""What a daemon costs: time until it is ready, memory, processor time."""
+"""Cost of a daemon: start-up time, memory, processor time."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ RATES_HZ = (1000, 4000, 10_000)
 
 
 def memory_kib(pid: int) -> dict[str, int]:
-    """VmRSS, VmHWM, VmLck of a process, KiB."""
+    """Return VmRSS, VmHWM and VmLck of a process in KiB: resident, largest and locked memory."""
     lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
     pairs = (line.split(":", 1) for line in lines if line.startswith(("VmRSS", "VmHWM", "VmLck")))
     return {name: int(value.split()[0]) for name, value in pairs}
 
 
 def cpu_s(pid: int) -> tuple[float, float]:
-    """Processor seconds so far of a process, and of its real-time threads."""
+    """Return the processor time of a process so far, and that of its real-time threads, in s."""
     total = servo = 0.0
     for thread in Path(f"/proc/{pid}/task").iterdir():
         fields = (thread / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-        # The kernel's own account is finer than the ticks of stat.
+        # schedstat has nanoseconds, stat only clock ticks.
         seconds = int((thread / "schedstat").read_text(encoding="utf-8").split()[0]) / 1e9
         total += seconds
         servo += seconds if int(fields[37]) > 0 else 0.0  # rt_priority
@@ -35,9 +35,9 @@ def cpu_s(pid: int) -> tuple[float, float]:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """The tables of it."""
+    """Measure start-up, processor time and memory of daemons, and return the section."""
     starts, seconds = options.few(9, 2), 1.0 if options.quick else 6.0
-    compileall.compile_dir(str(ROOT / "hapticd"), quiet=1)  # as an installed package is
+    compileall.compile_dir(str(ROOT / "hapticd"), quiet=1)  # as in an installed package
     ready, answered = [], []
     for index in range(starts):
         with daemon(rate_hz=10_000) as running:
@@ -53,13 +53,13 @@ def run(options: Options, advance: Advance) -> Section:
             time.sleep(seconds)
             after, lasted = cpu_s(running.pid), time.monotonic() - then
             memory = memory_kib(running.pid)
-        share = [100 * (b - a) / lasted for a, b in zip(before, after, strict=True)]
+        percent = [100 * (b - a) / lasted for a, b in zip(before, after, strict=True)]
         resident.append(memory["VmHWM"] / 1024)
         rows.append(
             [
                 f"{rate} Hz",
-                f"{share[0]:.1f}",
-                f"{share[1]:.1f}",
+                f"{percent[0]:.1f}",
+                f"{percent[1]:.1f}",
                 f"{memory['VmRSS'] / 1024:.1f}",
                 f"{memory['VmHWM'] / 1024:.1f}",
                 f"{memory['VmLck'] / 1024:.1f}",

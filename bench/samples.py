@@ -1,4 +1,4 @@
-"""Reads all samples of a daemon beside what is measured."""
+"""Reads all samples of a daemon while a benchmark runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hapticd.client.samples import dtype_of
 
 
 class SampleReader:
-    """Reads all samples, in a thread, until it is told the last tick."""
+    """Reads all samples in a thread, until `until` sets the last tick."""
 
     def __init__(self, endpoint: str) -> None:
         self._endpoint = endpoint
@@ -38,7 +38,7 @@ class SampleReader:
                 self._ready.set()
 
     def until(self, tick: int) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-        """The samples, up to this tick and a few more."""
+        """Wait for this tick, and return the samples up to it and a few later ones."""
         self._last = tick
         self._thread.join()
         return np.concatenate(self._batches)

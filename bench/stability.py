@@ -1,8 +1,8 @@
-"""Walls and corners drawn at random, simulated against their margins; and maps of the stiffness that holds.
+"""Random walls and corners, simulated and compared with their stability margins; and maps of the limit of stiffness.
 
-A trial is a device, a hand, one wall or two that make a corner, and a motion onto them. What the margin says of it is
-what `get_status` would say; what becomes of it is found with the servo's own tick and the simulated joystick. The
-linear loop, bilateral and without friction, rounding and limit, is simulated beside it from its closed form.
+A trial is a device, a hand, a wall or a corner of two walls, and a motion onto them. Its margin is that of
+`get_status`; its motion is computed with the tick of the servo and the simulated joystick. In addition, the linear loop
+(bilateral, without friction, rounding and force limit) is simulated from its closed form.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ if TYPE_CHECKING:
 SEED = 20
 TRIALS = 10_000
 LONGEST_S = 640.0
-"""A motion that is called safe, and neither at rest nor in a regular cycle, is followed for so long."""
+"""Longest simulated time of a trial that the margin calls safe, unless it rests or cycles regularly."""
 UNSAFE_S = 160.0
-"""The same for a motion that nobody calls safe."""
+"""Longest simulated time of a trial that the margin does not call safe."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One device and scene, the hand's way, and what the margin says."""
+    """A random device and scene, the waypoints of the hand, and the stability margin."""
 
     config: Config
     waypoints: list[list[float]]
     loop: Loop
     factor: float
-    """The stiffnesses may be so many times as large."""
+    """Factor by which all stiffnesses may grow until the trial is no longer proved safe."""
     safe: bool
     stiffness: Floats
-    """(2, 2)."""
+    """Stiffness matrix of the walls in N/m, (2, 2)."""
     damping: Floats
-    """(2, 2)."""
+    """Damping matrix of the walls in N s/m, (2, 2)."""
     walls: int
 
     @property
@@ -62,7 +62,7 @@ class Trial:
 
     @property
     def plainly_safe(self) -> bool:
-        """What the conditions that the margin grew from say: b > K (T/2 + t_d) + |D|, K step/2 + |D| step/T <= c."""
+        """Whether the conditions of the literature hold: b > K (T/2 + t_d) + |D|, and K step/2 + |D| step/T <= c."""
         timing, dynamics = self.loop.timing, self.loop.dynamics
         stiffness, damping = (float(np.linalg.norm(each, 2)) for each in (self.stiffness, self.damping))
         delay_s = 0.5 * timing.period_s + timing.delay_s
@@ -75,18 +75,18 @@ def _log(random: np.random.Generator, low: float, high: float) -> float:
     return float(math.exp(random.uniform(math.log(low), math.log(high))))
 
 
-def _maybe(random: np.random.Generator, never: float, low: float, high: float) -> float:
-    return 0.0 if random.random() < never else _log(random, low, high)
+def _log_or_zero(random: np.random.Generator, zero_probability: float, low: float, high: float) -> float:
+    return 0.0 if random.random() < zero_probability else _log(random, low, high)
 
 
 def _drawn_device(random: np.random.Generator, rate_hz: float) -> tuple[dict[str, Any], bool]:
-    """Encoder, friction, handle, delay and hand, and whether the handle is free."""
+    """Return a random simulated joystick, and whether its handle is free."""
     sim: dict[str, Any] = {
         "handle_mass_kg": _log(random, 0.01, 0.3),
         "handle_damping_n_s_per_m": _log(random, 0.05, 20.0),
-        "coulomb_friction_n": _maybe(random, 0.2, 0.005, 0.5),
-        "encoder_step_m": _maybe(random, 0.25, 1e-6, 1e-4),
-        "force_step_n": _maybe(random, 0.5, 1e-4, 1e-2),
+        "coulomb_friction_n": _log_or_zero(random, 0.2, 0.005, 0.5),
+        "encoder_step_m": _log_or_zero(random, 0.25, 1e-6, 1e-4),
+        "force_step_n": _log_or_zero(random, 0.5, 1e-4, 1e-2),
         "max_force_n": 100.0,
         "workspace_m": 1.0,
     }
@@ -105,19 +105,19 @@ def _drawn_device(random: np.random.Generator, rate_hz: float) -> tuple[dict[str
     sim["hand"] = {
         "mass_kg": 0.0 if free else random.uniform(0.0, 0.1),
         "stiffness_n_per_m": 0.0 if free else _log(random, 30.0, 1500.0),
-        "damping_n_s_per_m": 0.0 if free else _maybe(random, 0.3, 0.1, 10.0),
+        "damping_n_s_per_m": 0.0 if free else _log_or_zero(random, 0.3, 0.1, 10.0),
     }
     return sim, free
 
 
 def draw(random: np.random.Generator) -> Trial:
-    """A trial: rate, delay, encoder, friction, handle, hand and walls; the stiffness from 1/20 to 4 of its limit.
+    """Return a random trial, with stiffnesses of 1/20 to 4 times the proved limit.
 
-    A quarter of the handles are free, and are pushed onto the walls by a constant force.
+    A quarter of the handles are free, and a constant force pushes them onto the walls.
     """
     rate_hz = _log(random, 1000.0, 10_000.0)
     sim, free = _drawn_device(random, rate_hz)
-    # Out of the solid, to both sides of where the hand comes from; the corner lies in the middle.
+    # The normals are symmetric about the direction from which the hand comes.
     towards = random.uniform(0.0, 2.0 * math.pi)
     corner = random.random() < 0.5
     half = random.uniform(math.radians(2.5), math.radians(85.0))
@@ -127,7 +127,7 @@ def draw(random: np.random.Generator) -> Trial:
     ratio = [1.0, _log(random, 0.1, 10.0)]
     rubs = random.random() < 0.3
     materials: dict[str, Any] = {}
-    share = _maybe(random, 0.6, 0.01, 1.5)
+    damping_ratio = _log_or_zero(random, 0.6, 0.01, 1.5)
     for index in range(len(normals)):
         friction = {"coefficient": random.uniform(0.05, 1.0), "stiffness_n_per_m": _log(random, 0.1, 10.0)}
         materials[f"m{index}"] = {"stiffness_n_per_m": ratio[index]} | ({"friction": friction} if rubs else {})
@@ -146,22 +146,22 @@ def draw(random: np.random.Generator) -> Trial:
     reached_s = float(np.hypot(*(deep - start))) / speed + 1e-3
     waypoints = [[0.0, *start], [reached_s, *(deep + (0.0 if free else 1.0) * sideways)]]
     sim["start_m"] = start.tolist()
-    damped = share * sim["handle_damping_n_s_per_m"]
+    wall_damping = damping_ratio * sim["handle_damping_n_s_per_m"]
     source: dict[str, Any] = {
         "servo": {"rate_hz": rate_hz},
         "device": {"max_force_n": 100.0, "max_speed_m_per_s": 1000.0, "sim": sim},
         "materials": materials,
         "scene": {"objects": objects, "display": {"force": True, "vibration": False}},
     }
-    # The damping first, then the stiffnesses: all are so many times what is just safe.
+    # The damping is set first, since the limit of the stiffnesses depends on it.
     first = load_config(source)
     echo = _loop(first).damping_echo
     for material in materials.values():
-        material["damping_n_s_per_m"] = damped / echo / len(normals)
+        material["damping_n_s_per_m"] = wall_damping / echo / len(normals)
     sets = evaluated(load_config(source))
-    # The hard ones are those at the limit.
-    part = float(random.choice((0.5, 0.999, 2.0))) if random.random() < 0.4 else _log(random, 0.05, 4.0)
-    scale = part * float(sets.factor.min())
+    # Trials near the limit are the hardest.
+    fraction = float(random.choice((0.5, 0.999, 2.0))) if random.random() < 0.4 else _log(random, 0.05, 4.0)
+    scale = fraction * float(sets.factor.min())
     if not scale > 0.0 or not math.isfinite(scale):
         scale = _log(random, 50.0, 20_000.0)
     scale = min(scale, 9e4 / max(ratio))
@@ -186,23 +186,23 @@ def _loop(config: Config) -> Loop:
 
 
 def evaluated(config: Config) -> ContactSets:
-    """What the margins of a configuration's scene are."""
+    """Return the stability of all contact sets of a scene. The handle must be known."""
     found = sets_of(config)
     assert found is not None
     return found
 
 
 def fate_of(config: Config, waypoints: list[list[float]], longest_s: float = LONGEST_S) -> EndState:
-    """What becomes of the handle once the hand's reference rests."""
+    """Return how the motion of the handle ends after the hand's last waypoint."""
     return end_of(config, waypoints, longest_s)
 
 
 def linear_grows(trial: Trial) -> bool:
-    """Whether the bilateral loop without friction, rounding and limit grows after a push.
+    """Return whether the motion of the linear loop grows after a push.
 
-    The simulated joystick moves the handle (its steps are closed forms) and keeps the times of reports and frames; the
-    walls hold it both ways, F = -K p - D v, v the difference of the last two reports. It grows if the peak of 1/3 of
-    the time is more than that of the third before, or is 1e4 times the first.
+    The loop is the simulated joystick with its reports and frames, without friction, rounding and force limit. The
+    walls push and pull, F = -K p - D v, with the velocity v from the last two reports. The motion grows if its peak in
+    the last third of the time exceeds that in the second third, or is 1e4 times the first peak.
     """
     sim = trial.config.device.sim
     plain = sim.model_copy(
@@ -218,7 +218,7 @@ def linear_grows(trial: Trial) -> bool:
     peaks = [0.0, 0.0, 0.0]
     x = y = v_x = v_y = 0.0
     push = 1e-9 * (1.0 + float(np.linalg.norm(trial.stiffness, 2)))
-    # Some way that is no axis of the walls.
+    # A direction that is not an axis of the walls.
     kick = (0.6 * push, 0.8 * push)
     kicked = math.ceil(4 * trial.loop.timing.period_s / period_s)
     first = 0.0
@@ -249,22 +249,22 @@ def linear_grows(trial: Trial) -> bool:
 
 @dataclass(slots=True)
 class Counts:
-    """What became of trials, by what the margin says of them."""
+    """Number of trials with each ending, by the verdict of the margin."""
 
     fates: Counter[tuple[str, Fate]] = field(default_factory=Counter)
     broken: list[int] = field(default_factory=list)
-    """Trials that were called safe and did not come to rest."""
+    """Indices of trials that the margin calls safe and that did not come to rest."""
     plain: Counter[Fate] = field(default_factory=Counter)
-    """What became of those that the plain conditions call safe."""
+    """Endings of the trials that the conditions of the literature call safe."""
     linear: int = 0
-    """Trials whose spectral radius is more than 1.001."""
+    """Number of trials whose linear loop has a spectral radius above 1.001."""
     grew: int = 0
-    """How many of them grew in the linear simulation."""
-    held: list[int] = field(default_factory=list)
-    """Those that did not."""
+    """Number of these trials whose motion grew in the linear simulation."""
+    not_grown: list[int] = field(default_factory=list)
+    """Indices of these trials whose motion did not grow."""
 
     def add(self, index: int, became: Became) -> None:
-        """Counts a trial."""
+        """Count a trial."""
         self.fates[became.called, became.fate] += 1
         if became.called == SAFE and became.fate != "rests":
             self.broken.append(index)
@@ -274,7 +274,7 @@ class Counts:
             self.linear += 1
             self.grew += became.grows
             if not became.grows:
-                self.held.append(index)
+                self.not_grown.append(index)
 
 
 SAFE, STABLE, GROWING = "safe", "not safe, stable in this hand", "not safe, spectral radius above 1.001"
@@ -282,18 +282,18 @@ SAFE, STABLE, GROWING = "safe", "not safe, stable in this hand", "not safe, spec
 
 @dataclass(frozen=True, slots=True)
 class Became:
-    """What became of a trial."""
+    """Result of a trial."""
 
     called: str
-    """SAFE, STABLE or GROWING."""
+    """Verdict of the margin: SAFE, STABLE or GROWING."""
     fate: Fate
     plainly_safe: bool
     grows: bool | None
-    """Whether the linear loop grows; None: its spectral radius is at most 1.001."""
+    """Whether the motion of the linear loop grows; None if its spectral radius is at most 1.001."""
 
 
 def became(seed: int, index: int, longest_s: float = LONGEST_S) -> Became:
-    """Draws a trial and simulates it; the same on every run."""
+    """Draw and simulate a trial. Seed and index determine the result."""
     trial = draw(np.random.default_rng((seed, index)))
     fate = fate_of(trial.config, trial.waypoints, longest_s if trial.safe else min(longest_s, UNSAFE_S)).fate
     radius = trial.radius
@@ -302,7 +302,7 @@ def became(seed: int, index: int, longest_s: float = LONGEST_S) -> Became:
 
 
 def counted(seed: int, indices: range, longest_s: float = LONGEST_S) -> Counts:
-    """Of so many trials, one after the other."""
+    """Count the trials with these indices, one after the other."""
     found = Counts()
     for index in indices:
         found.add(index, became(seed, index, longest_s))
@@ -310,7 +310,7 @@ def counted(seed: int, indices: range, longest_s: float = LONGEST_S) -> Counts:
 
 
 def trial(point: SweepPoint) -> dict[str, Any]:
-    """A point of studies/stability_trials.yaml."""
+    """Return the result of a point of studies/stability_trials.yaml."""
     return asdict(became(point.parameters["seed"], point.parameters["trial"]))
 
 
@@ -320,37 +320,38 @@ WALL = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "m"}
 HELD = {"mass_kg": 0.01, "stiffness_n_per_m": 300.0, "damping_n_s_per_m": 5.0}
 """The default hand."""
 LIGHT = {"mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 0.0}
-"""None: a constant force lays the handle onto the wall."""
+"""No hand: a constant force pushes the handle onto the wall."""
 LOWEST, HIGHEST = 10.0, 1e5
-STEP = 1.005
-"""A map is searched upwards by this factor, from 0.9 of what is proved to rest."""
-FINE = 1.001
-"""The edge of the first unstable island is found to this factor."""
-ROUGH = 1.02
-"""The same where nothing is proved: from LOWEST."""
-ABOVE, COARSE = 2.0, 1.02
-"""How far beyond the first stiffness that does not rest others are tried, which may rest again, and by which factor."""
+"""Range of the stiffness in maps, in N/m."""
+STEP_RATIO = 1.005
+"""Ratio of successive stiffnesses in the search for the first unstable island, from 0.9 of the proved stiffness."""
+EDGE_RATIO = 1.001
+"""Ratio to which the edge of the first unstable island is found."""
+UNPROVED_STEP_RATIO = 1.02
+"""As STEP_RATIO if no stiffness is proved: the search then begins at LOWEST."""
+BEYOND_RATIO, BEYOND_STEP_RATIO = 2.0, 1.02
+"""Stiffnesses up to twice the first unstable one, in steps of 2 %, are tried, as handles may rest there again."""
 NO_LIMIT = 1e300
-"""In place of an infinite stiffness."""
+"""Stands for an infinite stiffness in results."""
 AXES: dict[str, tuple[str, str, float]] = {
     "rate": ("rate, Hz", "servo.rate_hz", 1.0),
     "delay": ("delay, ms", "device.sim.report_delay_s", 1e3),
     "step": ("encoder step, um", "device.sim.encoder_step_m", 1e6),
     "friction": ("dry friction, N", "device.sim.coulomb_friction_n", 1.0),
 }
-"""The maps, each a study: what a table calls its axis, its key, and the unit of the table over that of the key."""
+"""For each map: the label of its axis, the varied key, and the factor from the key's unit to that of the label."""
 Tree: TypeAlias = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """How the handle comes to the wall."""
+    """The initial motion of a handle to the wall."""
 
     height_m: float
     depth_m: float
-    """Where the hand wants to be in the end."""
+    """Depth of the hand's reference at the end."""
     push_n: float
-    """The force that lays a free handle onto the wall."""
+    """The force that pushes a free handle onto the wall."""
 
 
 FIGURES = ("passive", "quiet", "free", "held", "simulated_light", "simulated_held", "again")
@@ -359,23 +360,23 @@ STARTS = (Start(0.005, 0.003, 0.5), Start(0.001, 0.001, 0.2), Start(0.02, 0.008,
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """One place of a map: stiffnesses in N/m."""
+    """The limits at one point of a map, as stiffnesses in N/m."""
 
     at: float
     passive: float
     quiet: float
     free: float
     held: float
-    """Limits: of passivity, of quantisation, of the linear loop with the handle let go and in the default hand."""
+    """Limits of passivity, of quantisation, and of the linear loop with a free handle and in the default hand."""
     simulated_light: float
     simulated_held: float
-    """The least stiffness at which the handle does not come to rest; HIGHEST: none found."""
+    """The smallest stiffness at which the handle does not come to rest; HIGHEST if none was found."""
     again: float
-    """Part of the stiffnesses up to ABOVE times `simulated_light` at which the free handle comes to rest again."""
+    """Fraction of the stiffnesses up to BEYOND_RATIO times `simulated_light` at which the free handle rests."""
 
 
 def on_wall(source: Tree, hand: dict[str, float], stiffness: float, start: Start = STARTS[0]) -> Config:
-    """A place of a map, with another hand, stiffness and start."""
+    """Return the configuration of a point of a map with this hand, stiffness and start."""
     tree = deepcopy(source)
     tree["device"]["sim"] |= {"hand": hand, "start_m": [0.0, start.height_m]}
     tree["materials"]["m"]["stiffness_n_per_m"] = stiffness
@@ -385,57 +386,58 @@ def on_wall(source: Tree, hand: dict[str, float], stiffness: float, start: Start
 
 
 def map_fate(source: Tree, hand: dict[str, float], stiffness: float, start: Start = STARTS[0]) -> EndState:
-    """What becomes of a handle on a wall of this stiffness, at one place of a map."""
+    """Return how the motion of a handle on a wall of this stiffness ends, at a point of a map."""
     config = on_wall(source, hand, stiffness, start)
     deep = -start.depth_m if hand is HELD else start.height_m
     return fate_of(config, [[0.0, 0.0, start.height_m], [0.08, 0.0, deep]], UNSAFE_S)
 
 
-def _stays(source: Tree, hand: dict[str, float], stiffness: float) -> bool:
-    """Whether it goes on for ever from one of the starts. What falls steadily (just below a limit) does not."""
+def _is_unstable(source: Tree, hand: dict[str, float], stiffness: float) -> bool:
+    """Return whether the motion cycles or grows from any start. A falling energy, as just below a limit, is stable."""
     return any(map_fate(source, hand, stiffness, start).fate in ("cycles", "grows") for start in STARTS)
 
 
 def simulated_limit(source: Tree, hand: dict[str, float], proved: float, beyond: float) -> float:
-    """The least stiffness at which a handle on a wall does not come to rest, of a dense search upwards.
+    """Return the smallest stiffness at which a handle on a wall does not come to rest, by a dense search upwards.
 
-    With an encoder the unstable stiffnesses are islands: each step from below what is `proved` to rest is tried, up to
-    well above the linear limit `beyond`.
+    With an encoder, unstable stiffnesses are islands. The search begins below the `proved` stiffness, and ends at 1.5
+    times the linear limit `beyond`.
     """
-    stiffness, step = (0.9 * proved, STEP) if proved > LOWEST else (LOWEST, ROUGH)
+    stiffness, step = (0.9 * proved, STEP_RATIO) if proved > LOWEST else (LOWEST, UNPROVED_STEP_RATIO)
     top = min(HIGHEST, 1.5 * beyond)
-    while stiffness < top and not _stays(source, hand, stiffness):
+    while stiffness < top and not _is_unstable(source, hand, stiffness):
         stiffness *= step
     if stiffness >= top:
         return HIGHEST
     low = stiffness / step
-    while stiffness / low > FINE:
+    while stiffness / low > EDGE_RATIO:
         middle = math.sqrt(low * stiffness)
-        low, stiffness = (low, middle) if _stays(source, hand, middle) else (middle, stiffness)
+        low, stiffness = (low, middle) if _is_unstable(source, hand, middle) else (middle, stiffness)
     return stiffness
 
 
 def rests_again(source: Tree, first: float) -> float:
-    """Part of the stiffnesses above the first unstable one at which a free handle comes to rest, from every start."""
+    """Return the fraction of stiffnesses above the first unstable one at which a free handle rests from every start."""
     if first >= HIGHEST:
         return 0.0
-    tried = first * COARSE ** np.arange(1, round(math.log(ABOVE) / math.log(COARSE)) + 1)
-    return sum(not _stays(source, LIGHT, float(stiffness)) for stiffness in tried) / len(tried)
+    steps = round(math.log(BEYOND_RATIO) / math.log(BEYOND_STEP_RATIO))
+    tried = first * BEYOND_STEP_RATIO ** np.arange(1, steps + 1)
+    return sum(not _is_unstable(source, LIGHT, float(stiffness)) for stiffness in tried) / len(tried)
 
 
 def linear_limit(loop: Loop) -> float:
-    """The stiffness, to 1e-6, at which the exact sampled loop of one axis has a spectral radius of 1."""
+    """Return the stiffness at which the sampled linear loop of one axis has a spectral radius of 1, to 1e-6."""
     low, high = 1e-3, 1e7
     while high / low > 1.0 + 1e-6:
         middle = math.sqrt(low * high)
-        # Along both axes alike: a free handle's other axis would have an eigenvalue of 1.
+        # The wall acts on both axes: without it, the other axis of a free handle has an eigenvalue of 1.
         grows = float(spectral_radius(middle * np.eye(2), np.zeros((2, 2)), loop)) > 1.0
         low, high = (low, middle) if grows else (middle, high)
     return low
 
 
 def limits(point: SweepPoint) -> dict[str, float]:
-    """A point of studies/stability_rate.yaml, ..._delay, ..._step, ..._friction: the fields of Limits but `at`."""
+    """Return the fields of Limits except `at` at a point of studies/stability_{rate,delay,step,friction}.yaml."""
     source, stiffness = point.config, 100.0
     config = on_wall(source, HELD, stiffness)
     factors = evaluated(config).factors(0)
@@ -458,7 +460,7 @@ PLOT = ROOT / "docs" / "stability.png"
 
 
 def draw_maps(maps: dict[str, list[Limits]]) -> None:
-    """Writes docs/stability.png."""
+    """Draw the maps into docs/stability.png."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -467,12 +469,12 @@ def draw_maps(maps: dict[str, list[Limits]]) -> None:
     figure, panels = pyplot.subplots(2, 2, figsize=(11, 8.5), sharey=True, layout="constrained")
     for panel, (axis, points) in zip(panels.ravel(), maps.items(), strict=True):
         at = np.array([point.at for point in points])
-        # Nothing is at a place of its own, left of the rest.
+        # The value 0 is drawn left of all others, since the axis is logarithmic.
         shown = np.where(at > 0.0, at, at[at > 0.0].min() / 3.0)
 
         def line(name: str, style: str, label: str, points: list[Limits] = points, shown: Floats = shown) -> None:
             values = np.array([getattr(point, name) for point in points])
-            # None found is no marker.
+            # A limit that was not found has no marker.
             top = HIGHEST * (1.0 - 1e-9) if name.startswith("simulated") else 2.0 * HIGHEST
             values = np.where((values > 0.0) & (values <= top), values, np.nan)
             panel.plot(shown, values, style, label=label)  # noqa: B023
@@ -502,7 +504,7 @@ def draw_maps(maps: dict[str, list[Limits]]) -> None:
     pyplot.close(figure)
 
 
-def _of(points: list[Limits]) -> list[list[str]]:
+def _rows_of(points: list[Limits]) -> list[list[str]]:
     def cell(value: float) -> str:
         return "any" if value >= HIGHEST else f"{value:.4g}"
 
@@ -516,31 +518,31 @@ def _of(points: list[Limits]) -> list[list[str]]:
     ]
 
 
-def mapped(client: Any, axis: str, tell: Callable[[float], None], quick: bool = False) -> list[Limits]:
-    """A map; `quick`: every third place of it."""
+def mapped(client: Any, axis: str, progress: Callable[[float], None], quick: bool = False) -> list[Limits]:
+    """Compute a map and return its points; with `quick` only every third point."""
     name, (_, key, scale) = f"stability_{axis}", AXES[axis]
     vary: dict[str, Json] = {}
     if quick:
         places = load_path(STUDIES / f"{name}.yaml").data["vary"][key]  # type: ignore[index,call-overload]
         vary = {key: places[::3]}  # type: ignore[index]
-    rows = swept(client, name, tell, vary)
-    # As a person would write it: 0.1 ms, not 0.1 and a rounding.
+    rows = swept(client, name, progress, vary)
+    # Rounded: 0.1 ms instead of 0.10000000000000002 ms.
     return [Limits(float(f"{scale * row[key]:.6g}"), *(row[each] for each in FIGURES)) for row in rows]
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """The counts of the trials, and the maps; draws docs/stability.png unless it is quick."""
+    """Return the section with trials and maps; draw docs/stability.png unless the run is quick."""
     trials = options.few(TRIALS, 200)
     drawn: dict[str, Json] = {"parameters.trial": {"low": 0, "high": trials - 1, "count": trials}}
     maps: dict[str, list[Limits]] = {}
     found = Counts()
     with workers() as client:
         for row in swept(client, "stability_trials", between(advance, 0.0, 0.6, f"{trials} trials"), drawn):
-            it = Became(row["called"], row["fate"], row["plainly_safe"], row["grows"])
-            found.add(row["parameters.trial"], it)
+            result = Became(row["called"], row["fate"], row["plainly_safe"], row["grows"])
+            found.add(row["parameters.trial"], result)
         for index, axis in enumerate(AXES):
-            tell = between(advance, 0.6 + 0.1 * index, 0.7 + 0.1 * index, f"map of {axis}")
-            maps[axis] = mapped(client, axis, tell, quick=options.quick)
+            progress = between(advance, 0.6 + 0.1 * index, 0.7 + 0.1 * index, f"map of {axis}")
+            maps[axis] = mapped(client, axis, progress, quick=options.quick)
     fates: tuple[Fate, ...] = ("rests", "cycles", "grows", "falls")
     rows = []
     for what in (SAFE, STABLE, GROWING):
@@ -574,16 +576,17 @@ def run(options: Options, advance: Advance) -> Section:
             "The other tables have stiffness limits on one wall, of the handle without a hand (free) and in the "
             "default hand (held). Passive and step held: the proved limits of passivity and of quantisation. Linear: "
             "the limit of the linear loop. Simulated: the smallest stiffness at which the handle does not come to "
-            f"rest. The search for this first unstable island goes upwards by {100 * (STEP - 1):.1f} % from 0.9 of the "
-            f"proved stiffness, from {len(STARTS)} starts. Rests again: fraction of the stiffnesses up to {ABOVE:g} "
-            f"times as large at which a free handle rests. Any: no limit was found up to {HIGHEST:g} N/m.",
+            "rest. The search for this first unstable island goes upwards by "
+            f"{100 * (STEP_RATIO - 1):.1f} % from 0.9 of the proved stiffness, from {len(STARTS)} starts. Rests again: "
+            f"fraction of the stiffnesses up to {BEYOND_RATIO:g} times as large at which a free handle rests. Any: no "
+            f"limit was found up to {HIGHEST:g} N/m.",
             Table(
                 "Trials by verdict of the stability margin and by motion",
                 ["", "trials", "rest", "cycle", "grow", "still falling"],
                 rows,
             ),
             *(
-                Table(f"Stiffness over {label}, N/m", [label, *heads], _of(maps[axis]))
+                Table(f"Stiffness over {label}, N/m", [label, *heads], _rows_of(maps[axis]))
                 for axis, (label, *_) in AXES.items()
             ),
         ],

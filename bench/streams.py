@@ -1,11 +1,11 @@
-"""Streamed forces at 1,000 a second: what is lost, how long one takes to the tick that uses it, what it costs.
+"""Streamed forces, 1,000 a second: losses, latency from a message to the tick that uses it, and processor time.
 
-The sender is another process. Its forces lie on a circle, one after the other far apart, and the servo goes to each in
-a straight line: where the line of a tick meets the circle is the message that it took. So each message is found in the
-samples, whatever the counters say. Its time is the sender's CLOCK_MONOTONIC before it calls send; the tick's is when
-the servo woke up, its deadline and its lateness.
+The sender is another process. Its forces are points of a circle, with large distances between successive points. The
+servo changes the force in straight lines: the point at which the line of a tick meets the circle is the message of this
+tick. So each message is found in the samples, independent of counters. Its time is CLOCK_MONOTONIC before `send`; the
+time of a tick is the wake-up of the servo, deadline plus lateness.
 
-    python -m bench.streams --send ENDPOINT COUNT FILE      the sender; its times go into FILE
+    python -m bench.streams --send ENDPOINT COUNT FILE      the sender; writes its times into FILE
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ from hapticd.base.errors import HapticdError
 from hapticd.protocol import streams
 
 RATE_HZ = 10_000
-PER_S = 1000
+RATE_PER_S = 1000
+"""Number of messages per second."""
 CIRCLE_N = 0.02
 POINTS = 64
 STRIDE = 25
-"""From one message to the next; what it is in a tick stays far below what the ramp allows."""
+"""Number of points from one message to the next. In a tick the force moves far less than the ramp allows."""
 TIMEOUT_S = 0.02
 RAMP_S = 0.02
 
@@ -45,7 +46,7 @@ Times = npt.NDArray[np.int64]
 
 
 def send(endpoint: str, count: int, file: str) -> None:
-    """Streams so many forces, a thousand a second, and keeps when each was sent."""
+    """Stream `count` forces, a thousand a second, and save the time in ns at which each was sent."""
     times = np.zeros(count, np.int64)
     angles = 2 * math.pi * STRIDE / POINTS * np.arange(POINTS)
     forces_n = (CIRCLE_N * np.column_stack([np.cos(angles), np.sin(angles)])).tolist()
@@ -54,30 +55,31 @@ def send(endpoint: str, count: int, file: str) -> None:
         call(socket, "get_status")
         begin = time.monotonic_ns() + 10_000_000
         for seq in range(count):
-            wait_s = 1e-9 * (begin + seq * 1_000_000_000 // PER_S - time.monotonic_ns())
+            wait_s = 1e-9 * (begin + seq * 1_000_000_000 // RATE_PER_S - time.monotonic_ns())
             if wait_s > 0:
                 time.sleep(wait_s)
             times[seq] = time.monotonic_ns()
             socket.send(streams.write("force", seq, *forces_n[seq % POINTS]))
-        call(socket, "get_status")  # it has come to all of them
+        call(socket, "get_status")  # waits until the daemon has received all messages
     np.save(file, times)
 
 
-# ---- What is measured ------------------------------------------------------------------------------------------------
+# ---- Measurement -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Minute:
-    """One stream of a thousand a second."""
+    """Results of one stream of forces."""
 
     counted: dict[str, int]
     latency_us: npt.NDArray[np.float64]
-    """Of each message whose tick shows in the samples."""
+    """Latency of each message that is found in the samples."""
     interval_us: npt.NDArray[np.float64]
-    """Between two messages, as they were sent."""
+    """Time between two messages at the sender."""
     command_us: float
-    """Processor time of the daemon's Python for each message, beyond what it takes without them."""
+    """Processor time that a message adds to the threads of the daemon other than the servo."""
     missed: int
+    """Number of periods that the servo missed."""
 
 
 def _counted(client: zmq.Socket[bytes]) -> dict[str, int]:
@@ -86,13 +88,13 @@ def _counted(client: zmq.Socket[bytes]) -> dict[str, int]:
 
 
 def _python_s(pid: int) -> tuple[float, float]:
-    """Processor time of the daemon's threads but the servo, and when that was read."""
+    """Return the processor time of the daemon's threads except the servo, and the time of this reading, in s."""
     total, servo = cpu_s(pid)
     return total - servo, time.monotonic()
 
 
 def aims(force_n: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-    """To which of POINTS a force goes in each tick but the first; -1: nowhere, or to zero after the time-out."""
+    """Return the point to which the force moves in each tick except the first; -1 if it rests, or fades to zero."""
     begin, step = force_n[:-1], np.diff(force_n, axis=0)
     size = np.hypot(step[:, 0], step[:, 1])
     moves = size > 1e-9
@@ -100,7 +102,7 @@ def aims(force_n: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
     ahead = (begin * along).sum(axis=1)
     aside = begin[:, 0] * along[:, 1] - begin[:, 1] * along[:, 0]
     moves &= (np.abs(aside) > 1e-9) | (ahead >= 0.0)
-    # The point of the circle ahead, from one within it.
+    # The point at which the line from a point inside meets the circle.
     distance = -ahead + np.sqrt(np.maximum(0.0, ahead**2 - (begin**2).sum(axis=1) + CIRCLE_N**2))
     to = begin + distance[:, None] * along
     place = np.rint(np.arctan2(to[:, 1], to[:, 0]) / (2 * math.pi) * POINTS).astype(np.int64) % POINTS
@@ -108,12 +110,12 @@ def aims(force_n: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
 
 
 def latencies(sent_ns: Times, samples: np.ndarray[tuple[int], np.dtype[np.void]], last: int) -> npt.NDArray[np.float64]:
-    """From each message that was used to the tick that took it, us; `last`: the number of the last one that was."""
+    """Return the latency in us of each used message. `last` is the number of the last used message."""
     to = aims(samples["contact_force_n"])
     at = np.flatnonzero(to >= 0)
     at = at[np.concatenate([[True], to[at[1:]] != to[at[:-1]]])]
     woke_ns = (samples["time_ns"] + samples["lateness_ns"])[at + 1]
-    # The first one that was used is among the first POINTS, and each other among the next POINTS.
+    # The first used message is one of the first POINTS, and each later one is at most POINTS after the one before.
     message = to[at[0]] + np.concatenate([[0], np.cumsum((np.diff(to[at]) - 1) % POINTS + 1)])
     if message[-1] != last:
         raise HapticdError(f"the samples show message {message[-1]:,} as the last one, not {last:,}")
@@ -122,11 +124,11 @@ def latencies(sent_ns: Times, samples: np.ndarray[tuple[int], np.dtype[np.void]]
 
 
 def minute(running: Running, client: zmq.Socket[bytes], seconds: float) -> Minute:
-    """One stream, from its first message to the end of its force."""
+    """Measure one stream, from its first message to the end of its force."""
     before = _counted(client)
     skipped = call(client, "get_status")["counters"]["skipped"]  # type: ignore[index]
     reader = SampleReader(running.paths.telemetry_endpoint)
-    count = int(seconds * PER_S)
+    count = int(seconds * RATE_PER_S)
     idle_s, idle_since_s = _python_s(running.pid)
     time.sleep(min(seconds, 5.0))
     idle_s, idle_since_s = (b - a for a, b in zip((idle_s, idle_since_s), _python_s(running.pid), strict=True))
@@ -155,11 +157,11 @@ def minute(running: Running, client: zmq.Socket[bytes], seconds: float) -> Minut
 
 
 def _percentiles(values: npt.NDArray[np.float64]) -> list[str]:
-    return [*(f"{np.percentile(values, share):,.0f}" for share in (50, 99, 99.9)), f"{values.max():,.0f}"]
+    return [*(f"{np.percentile(values, percent):,.0f}" for percent in (50, 99, 99.9)), f"{values.max():,.0f}"]
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """The tables of it."""
+    """Measure a stream, and return the section."""
     seconds = options.few(60, 3)
     with daemon(rate_hz=RATE_HZ) as running, dealer(running.paths.command_endpoint) as client:
         found = minute(running, client, seconds)
@@ -169,11 +171,11 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Streams",
         [
-            f"A daemon at {RATE_HZ} Hz. Another process streams forces on a circle, {PER_S:,} a second "
+            f"A daemon at {RATE_HZ} Hz. Another process streams forces on a circle, {RATE_PER_S:,} a second "
             f"for {seconds} s. The latency is the time from `send` to the wake-up of the tick that took the message. "
             "The samples show which message a tick took, because each force is another point of the circle.",
             Table(
-                f"What became of {seconds * PER_S:,} messages",
+                f"What became of {seconds * RATE_PER_S:,} messages",
                 [
                     "received",
                     "lost",
@@ -203,7 +205,8 @@ def run(options: Options, advance: Advance) -> Section:
                 ],
             ),
             f"A message takes {found.command_us:.1f} us of processor time in the daemon, including the wake-up of the "
-            f"command thread: {found.command_us * PER_S / 1e4:.1f} % of a processor at {PER_S:,} messages a second.",
+            f"command thread: {found.command_us * RATE_PER_S / 1e4:.1f} % of a processor at {RATE_PER_S:,} messages a "
+            "second.",
         ],
     )
 

@@ -1,6 +1,6 @@
-"""The benches that are sweeps by nature: studies in bench/studies/, computed by hapticd's own engine on all processors.
+"""Benchmarks that are sweeps: studies in bench/studies/, which the engine of hapticd computes on all processors.
 
-`hapticd sweep run bench/studies/NAME.yaml` computes one of them alone.
+`hapticd sweep run bench/studies/NAME.yaml` computes a single study.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ STUDIES = ROOT / "bench" / "studies"
 
 @contextmanager
 def workers() -> Iterator[Any]:
-    """A `distributed.Client` of as many processes as there are processors, for the studies of one bench."""
+    """Yield a `distributed.Client` with a worker process for each processor, for the studies of a benchmark."""
     with client_of(None, None, False) as client:
         yield client
 
 
 def swept(
-    client: Any, name: str, tell: Callable[[float], None], vary: Mapping[str, Json] | None = None
+    client: Any, name: str, progress: Callable[[float], None], vary: Mapping[str, Json] | None = None
 ) -> list[dict[str, Any]]:
-    """The rows of bench/studies/NAME.yaml, in the order of its axes, the last one fastest.
+    """Compute bench/studies/NAME.yaml, and return its rows in the order of its axes, the last axis fastest.
 
-    `vary` takes the place of the axes of the same names; `tell` hears which part is done. Raises RuntimeError where a
-    point has no result.
+    `vary` replaces axes with the same names; `progress` gets the completed fraction. Raises RuntimeError if a point has
+    no result.
     """
     study = dict(load_path(STUDIES / f"{name}.yaml").data)  # type: ignore[arg-type]
     study["vary"] = {**study["vary"], **(vary or {})}  # type: ignore[dict-item]
     plan = load_sweep(study)
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         store = Store(Path(folder), _note)
-        engine.run(plan, store, lambda: nullcontext(client), _note, lambda at: tell(at.done / at.total))
+        engine.run(plan, store, lambda: nullcontext(client), _note, lambda at: progress(at.done / at.total))
         rows = {row["point"]: row for row in store.table().to_pylist()}
     found = [rows[each.tobytes().hex()] for each in plan.ids]
     for row in found:

@@ -1,6 +1,6 @@
-"""Telemetry at 10 kHz to one subscriber and to ten, one of which never reads.
+"""Telemetry at 10 kHz to one subscriber, and to ten, one of which never reads.
 
-python -m bench.telemetry ENDPOINT SECONDS READERS DEAD       the subscribers, in a process; JSON at the end
+python -m bench.telemetry ENDPOINT SECONDS READERS DEAD       the subscribers in one process; prints JSON at the end
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import zmq
 
 from bench.daemon import Running, call, daemon, dealer
-from bench.lateness import lateness_of, said_by
+from bench.lateness import lateness_of, output_of
 from bench.report import Advance, Options, Section, Table
 from bench.resources import memory_kib
 from hapticd.client.samples import dtype_of
@@ -25,7 +25,7 @@ READERS = 9
 
 
 def subscribe(endpoint: str, seconds: float, readers: int, dead: int) -> dict[str, Any]:
-    """Reads everything, counts the ticks that are missing, and says what the first reader's samples show."""
+    """Read all telemetry, count missing ticks, and return them with lateness and work in the first reader's samples."""
     with zmq.Context() as context:
         sockets = []
         for index in range(readers + dead):
@@ -39,7 +39,7 @@ def subscribe(endpoint: str, seconds: float, readers: int, dead: int) -> dict[st
         poller = zmq.Poller()
         for socket in sockets[:readers]:
             poller.register(socket, zmq.POLLIN)
-        account = {socket: {"samples": 0, "missing": 0, "next": -1, "dropped": 0} for socket in sockets[:readers]}
+        counts = {socket: {"samples": 0, "missing": 0, "next": -1, "dropped": 0} for socket in sockets[:readers]}
         kept = []
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -49,7 +49,7 @@ def subscribe(endpoint: str, seconds: float, readers: int, dead: int) -> dict[st
                     continue
                 message = msgpack.unpackb(body)
                 batch = np.frombuffer(message["data"], dtype_of(message["dtype"]))
-                own = account[socket]
+                own = counts[socket]
                 if own["next"] >= 0:
                     own["missing"] += int(message["first_tick"]) - own["next"]
                 own["missing"] += int(batch["tick"][-1]) - int(batch["tick"][0]) + 1 - len(batch)
@@ -63,7 +63,7 @@ def subscribe(endpoint: str, seconds: float, readers: int, dead: int) -> dict[st
     late, skipped = lateness_of(np.concatenate(kept), RATE_HZ)
     work = np.concatenate([batch["work_ns"] for batch in kept])
     return {
-        "readers": list(account.values()),
+        "readers": list(counts.values()),
         "lateness_ns": np.percentile(late, (50, 99, 99.9)).tolist(),
         "work_ns": np.percentile(work, (50, 99, 99.9)).tolist(),
         "skipped": skipped,
@@ -72,12 +72,12 @@ def subscribe(endpoint: str, seconds: float, readers: int, dead: int) -> dict[st
 
 def _subscribers(running: Running, seconds: float, readers: int, dead: int) -> dict[str, Any]:
     arguments = [running.paths.telemetry_endpoint, str(seconds), str(readers), str(dead)]
-    found: dict[str, Any] = json.loads(said_by([sys.executable, "-m", "bench.telemetry", *arguments]))
+    found: dict[str, Any] = json.loads(output_of([sys.executable, "-m", "bench.telemetry", *arguments]))
     return found
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """The table of it."""
+    """Measure servo and subscribers, and return the section."""
     parts = options.few(3, 1)
     seconds = options.few(20, 3) / parts
     plans = {"1 subscriber": (1, 0), f"{READERS + 1} subscribers, one dead": (READERS, 1)}
@@ -85,8 +85,8 @@ def run(options: Options, advance: Advance) -> Section:
     memory: dict[str, float] = {}
     with daemon(rate_hz=RATE_HZ) as running, dealer(running.paths.command_endpoint) as client:
         for part in range(parts):
-            for name, (readers, dead) in plans.items():
-                found[name].append(_subscribers(running, seconds, readers, dead))
+            for name, (living, dead) in plans.items():
+                found[name].append(_subscribers(running, seconds, living, dead))
                 memory[name] = memory_kib(running.pid)["VmRSS"] / 1024
                 advance((len(found[name]) + part) / (2 * parts), name)
         dropped = call(client, "get_status")["counters"]
@@ -94,15 +94,15 @@ def run(options: Options, advance: Advance) -> Section:
     for name, runs in found.items():
         late = np.median([run["lateness_ns"] for run in runs], axis=0) / 1e3
         work = np.median([run["work_ns"] for run in runs], axis=0)
-        accounts = [reader for run in runs for reader in run["readers"]]
+        readers = [reader for run in runs for reader in run["readers"]]
         rows.append(
             [
                 name,
                 " / ".join(f"{value:.1f}" for value in late),
                 " / ".join(f"{value:.0f}" for value in work),
                 str(sum(run["skipped"] for run in runs)),
-                str(sum(reader["samples"] for reader in accounts)),
-                str(sum(reader["missing"] for reader in accounts)),
+                str(sum(reader["samples"] for reader in readers)),
+                str(sum(reader["missing"] for reader in readers)),
                 f"{memory[name]:.0f}",
             ]
         )

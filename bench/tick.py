@@ -1,4 +1,4 @@
-"""Work per tick, warm: hd_render over a stretch that fits the first-level cache, again and again on one state."""
+"""Time of a tick with warm caches: hd_render with the same state, over motions that fit the first-level cache."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from hapticd.rendering.offline import new_world
 
 RATE_HZ = 10_000.0
 STRETCH = 128
-"""Ticks a call: 14 KiB of samples and 4 KiB of motion."""
+"""Number of ticks of a call: 14 KiB of samples and 4 KiB of motion."""
 STEP_M = 20e-6
-Tell = Callable[[float], None]
-"""Hears which part is done."""
+Progress = Callable[[float], None]
+"""A function that gets the completed fraction of a measurement."""
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "plain"}
 MATERIALS: Mapping[str, object] = {
     "plain": {"stiffness_n_per_m": 800, "damping_n_s_per_m": 1},
-    # Rings for ten seconds, so that every tick of a measurement has it.
+    # Rings for ten seconds, so that the mode is active in every tick of a measurement.
     "bell": {
         "stiffness_n_per_m": 800,
         "damping_n_s_per_m": 1,
@@ -43,20 +43,20 @@ SKIN = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.2
 
 
 def walls(count: int, material: str) -> dict[str, object]:
-    """Walls that are touched together."""
+    """Return parallel walls, which the probe touches at the same time."""
     return {f"wall{i}": {**FLOOR, "point_m": [0, 1e-4 * i], "material": material} for i in range(count)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """A way that ends where it begins, [n][2], n a multiple of STRETCH, and the speeds along it."""
+    """A closed path and the velocities along it, (n, 2) each; n is a multiple of STRETCH."""
 
     path_m: Floats
     speeds_m_per_s: Floats
 
 
 def circle(height_m: float, step_m: float = 0.0) -> Motion:
-    """A small circle in one stretch, on positions rounded to `step_m`."""
+    """Return a small circle in STRETCH ticks, with positions rounded to `step_m`."""
     turn = 2 * np.pi * np.arange(STRETCH) / STRETCH
     radius = 2e-4
     path = np.stack((radius * np.cos(turn), height_m + radius * np.sin(turn)), 1)
@@ -67,7 +67,7 @@ def circle(height_m: float, step_m: float = 0.0) -> Motion:
 
 
 class Stretch:
-    """A scene, a state and a motion, rendered round after round in calls of STRETCH ticks."""
+    """A scene, a state and a motion, which is rendered repeatedly in calls of STRETCH ticks."""
 
     def __init__(
         self,
@@ -80,8 +80,10 @@ class Stretch:
         step_m: float = 0.0,
         world: CData | None = None,
     ) -> None:
-        """`motion`: a number stands for the small circle around that height. `above_m`: where nothing is touched.
-        `world`: the objects, where they are compiled already."""
+        """Prepare the calls. A number as `motion` is the height of a small circle.
+
+        At the height `above_m` nothing is touched. `world` has the compiled objects, if they are already compiled.
+        """
         if world is None:
             config = load_config({"materials": materials, "scene": {"objects": objects}})
             compiler = Compiler(output_of(config, RATE_HZ))
@@ -117,21 +119,21 @@ class Stretch:
         )
 
     def go(self, path_m: Floats, speeds_m_per_s: Floats) -> tuple[npt.NDArray[np.void], npt.NDArray[np.void]]:
-        """Some other way, [n][2] each; its samples and events."""
+        """Render another path, and return its samples and events. Path and velocities have shape (n, 2)."""
         samples, events = [], []
         for at in range(0, len(path_m), STRETCH):
             arguments = self._prepare(path_m[at : at + STRETCH], speeds_m_per_s[at : at + STRETCH])
             if lib.hd_render(*arguments) != Status.OK:
                 raise RuntimeError(invalid_reason())
             if self._found[0] > len(self._events):
-                raise RuntimeError("more events than there is room for")
+                raise RuntimeError("too many events for the buffer")
             samples.append(self._samples[: arguments[5]].copy())
             events.append(self._events[: self._found[0]].copy())
         return np.concatenate(samples), np.concatenate(events)
 
     def enter(self) -> None:
-        """Leaves whatever is touched and comes back from above at 0.2 m/s, which strikes what can be struck."""
-        # A new state begins outside: a membrane is touched from the side that the probe comes from.
+        """Leave all surfaces, and return from above at 0.2 m/s, which causes taps."""
+        # A new state begins above: a membrane is touched from the side from which the probe comes.
         first, last = self.motion.path_m[0], self.motion.path_m[-1]
         above = self._above_m
         begin = last[1] if self._begun else above
@@ -140,13 +142,13 @@ class Stretch:
         self.go(np.stack((np.full(120, first[0]), height), 1), np.tile([0.0, -0.2], (120, 1)))
 
     def render(self, rounds: int) -> None:
-        """The motion, so many times."""
+        """Render the motion `rounds` times."""
         for _ in range(rounds):
             for arguments in self._arguments:
                 lib.hd_render(*arguments)
 
     def timed(self, rounds: int) -> list[float]:
-        """Nanoseconds a tick, of each time that the motion is gone through."""
+        """Render the motion `rounds` times, and return the time of a tick in ns for each."""
         now, render, calls = time.perf_counter_ns, lib.hd_render, self._arguments
         taken = []
         for _ in range(rounds):
@@ -157,7 +159,7 @@ class Stretch:
         return taken
 
     def empty_call(self, calls: int) -> list[float]:
-        """The same for a call of no tick at all: the share of the clock and of Python."""
+        """Return the time in ns per tick that clock and Python take, from `calls` calls without ticks."""
         arguments = (*self._arguments[0][:5], 0, *self._arguments[0][6:])
         taken = []
         for _ in range(calls):
@@ -167,16 +169,16 @@ class Stretch:
         return taken
 
     def flags(self) -> Flag:
-        """What every tick of the last call had."""
+        """Return the flags that every tick of the last call had."""
         return Flag(int(np.bitwise_and.reduce(self._samples["flags"])))
 
 
 def measured(
-    scenes: Mapping[str, Stretch], wanted: Mapping[str, Flag], mask: Flag, rounds: int, ticks: int, tell: Tell
+    scenes: Mapping[str, Stretch], wanted: Mapping[str, Flag], mask: Flag, rounds: int, ticks: int, progress: Progress
 ) -> dict[str, list[float]]:
-    """ns a tick of each scene by round, in turns: medians over so many ticks. `wanted`: its flags, of those in `mask`.
+    """Render scenes in turns, and return for each scene the median time of a tick in ns in each round.
 
-    Raises RuntimeError for a scene that is not what it is said to be.
+    A round has `ticks` ticks. Raises RuntimeError if the flags of a scene in `mask` are not those in `wanted`.
     """
     taken: dict[str, list[float]] = {name: [] for name in scenes}
     for index in range(rounds):
@@ -186,8 +188,8 @@ def measured(
             scene.render(max(1, repeats // 10))
             taken[name].append(float(np.median(scene.timed(repeats))))
             if scene.flags() & mask != wanted[name]:
-                raise RuntimeError(f"{name}: the scene is not what it is said to be ({scene.flags()!r})")
-        tell((index + 1) / rounds)
+                raise RuntimeError(f"{name}: flags must be {wanted[name]!r}, are {scene.flags()!r}")
+        progress((index + 1) / rounds)
     return taken
 
 
@@ -273,7 +275,7 @@ def _estimator(options: Options, advance: Advance) -> Table:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """All tables of it."""
+    """Return the section with the time of a tick and of the velocity estimator."""
     return Section(
         "Work per tick",
         [

@@ -1,7 +1,7 @@
-"""What the page's server costs: its processor time, and the servo's lateness with a page over without one, in turns.
+"""Cost of the page's server: its processor time, and the servo's lateness with a page relative to that without one.
 
-The page is a process without a browser that reads all it gets: a browser takes far more processor time, which is not
-the server's.
+The page is a process without a browser that reads all telemetry, since a browser would take far more processor time
+than the server.
 
     python -m bench.web --page ADDRESS COOKIE TOPIC...      the page, until it is killed
 """
@@ -32,22 +32,22 @@ SETTLE_S = 0.5
 
 
 async def page(address: str, cookie: str, topics: list[str]) -> None:
-    """Subscribes and reads; says so with its first message of telemetry."""
+    """Subscribe and read; print a line at the first message of telemetry."""
     headers = {"Origin": address, "Cookie": cookie}
     async with aiohttp.ClientSession() as session, session.ws_connect(f"{address}/socket", headers=headers) as socket:
         ask = {"jsonrpc": "2.0", "id": 1, "method": "web.subscribe", "params": {"topics": topics}}
         await socket.send_bytes(msgpack.packb(ask))
-        told = False
+        reading = False
         async for message in socket:
-            # [topic, body], and not news.
-            if not told and message.data[0] == 0x92 and message.data[1:5] != b"\xa3web":
-                told = True
+            # Telemetry is [topic, body]; the topic of the server's own messages begins with web.
+            if not reading and message.data[0] == 0x92 and message.data[1:5] != b"\xa3web":
+                reading = True
                 print("reading", flush=True)
 
 
 @contextlib.contextmanager
 def server(running: Running) -> Iterator[tuple[int, str, str]]:
-    """`hapticd web` in front of a daemon: its process, its address and the cookie of who was let in."""
+    """Run `hapticd web` for a daemon, and yield its process id, its address and the cookie of a session."""
     words = [sys.executable, "-m", "hapticd", "--runtime-dir", str(running.paths.directory), "web", "--port", "0"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -55,19 +55,19 @@ def server(running: Running) -> Iterator[tuple[int, str, str]]:
             link = process.stdout.readline().strip()
             if not link:
                 raise HapticdError("hapticd web did not start")
-            yield process.pid, link.partition("/?")[0], asyncio.run(_let_in(link))
+            yield process.pid, link.partition("/?")[0], asyncio.run(_cookie(link))
         finally:
             process.terminate()
 
 
-async def _let_in(link: str) -> str:
+async def _cookie(link: str) -> str:
     async with aiohttp.ClientSession() as session, session.get(link, allow_redirects=False) as response:
         return response.headers["Set-Cookie"].partition(";")[0]
 
 
 @contextlib.contextmanager
 def open_page(address: str, cookie: str, topics: tuple[str, ...]) -> Iterator[None]:
-    """A page that reads, as long as the context lasts."""
+    """Run a page that reads telemetry while the context is active."""
     words = [sys.executable, "-m", "bench.web", "--page", address, cookie, *topics]
     with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -79,8 +79,8 @@ def open_page(address: str, cookie: str, topics: tuple[str, ...]) -> Iterator[No
             process.kill()
 
 
-def share_of(pid: int, seconds: float) -> float:
-    """Of one processor, in percent."""
+def processor_percent(pid: int, seconds: float) -> float:
+    """Return the processor time of a process during `seconds`, in percent of one processor."""
     time.sleep(SETTLE_S)
     before, then = cpu_s(pid)[0], time.monotonic()
     time.sleep(seconds)
@@ -88,7 +88,7 @@ def share_of(pid: int, seconds: float) -> float:
 
 
 def p99_ns(running: Running, seconds: float) -> float:
-    """Of the servo's lateness."""
+    """Return the 99th percentile of the servo's lateness during `seconds`, in ns."""
     reader = SampleReader(running.paths.telemetry_endpoint)
     time.sleep(SETTLE_S + seconds)
     with dealer(running.paths.command_endpoint) as socket:
@@ -98,26 +98,28 @@ def p99_ns(running: Running, seconds: float) -> float:
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """The table of it."""
+    """Measure the server with and without a page, and return the section."""
     pairs, seconds = options.few(8, 2), 1.0 if options.quick else 5.0
-    shares: dict[tuple[str, ...], list[float]] = {IDLE: [], DRAWING: []}
+    percents: dict[tuple[str, ...], list[float]] = {IDLE: [], DRAWING: []}
     ratios = []
     with daemon(rate_hz=RATE_HZ) as running, server(running) as (pid, address, cookie):
         for index in range(pairs):
-            for topics, found in shares.items():
+            for topics, found in percents.items():
                 with open_page(address, cookie, topics):
-                    found.append(share_of(pid, seconds))
+                    found.append(processor_percent(pid, seconds))
             late = {}
-            # In turns, and neither always first.
+            # In turns, and each first in half of the pairs.
             for with_page in (True, False) if index % 2 == 0 else (False, True):
                 with open_page(address, cookie, DRAWING) if with_page else contextlib.nullcontext():
                     late[with_page] = p99_ns(running, seconds)
             ratios.append(late[True] / late[False])
             advance((index + 1) / pairs, f"pair {index + 1}")
-    median = {name: float(np.median(values)) for name, values in (("idle", shares[IDLE]), ("draw", shares[DRAWING]))}
+    median = {
+        name: float(np.median(values)) for name, values in (("idle", percents[IDLE]), ("draw", percents[DRAWING]))
+    }
     rows = [
-        ["processor time, page without samples, %", spread(shares[IDLE], ".1f"), verdict(median["idle"], 5.0)],
-        ["processor time, page with all samples, %", spread(shares[DRAWING], ".1f"), verdict(median["draw"], 15.0)],
+        ["processor time, page without samples, %", spread(percents[IDLE], ".1f"), verdict(median["idle"], 5.0)],
+        ["processor time, page with all samples, %", spread(percents[DRAWING], ".1f"), verdict(median["draw"], 15.0)],
         [
             "servo's p99 lateness, ratio with a page to without",
             spread(ratios, ".2f"),

@@ -3,7 +3,7 @@
     hapticd run                              # in one terminal
     python examples/gui_loop.py              # in another one; --for SECONDS ends it
 
-Replace `picture` by your drawing code: call `frame` from Tk's `after`, Qt's `QTimer` or the loop of a game.
+To draw in a window, replace `picture`, and call `frame` from Tk's `after`, Qt's `QTimer` or the loop of a game.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ def present(daemon: hapticd.Client, stiffness_n_per_m: float) -> float:
 
 
 def person(forces_n: tuple[float, float]) -> str:
-    """Ask at the terminal, without showing the forces."""
+    """Ask the participant at the terminal which wall was stiffer. The forces are not shown."""
     while True:
         answer = input("Which was stiffer, the first (1) or the second (2)? ").strip()
         if answer in ("1", "2"):
@@ -64,12 +64,12 @@ def person(forces_n: tuple[float, float]) -> str:
 
 
 def simulated(forces_n: tuple[float, float]) -> str:
-    """Return the wall with the larger force."""
+    """Return the number of the wall with the larger force."""
     return "1" if forces_n[0] > forces_n[1] else "2"
 
 
 def run(daemon: hapticd.Client, path: Path, answer_of: Callable[[tuple[float, float]], str], trials: int) -> Staircase:
-    """Run trials until the staircase ends, and write a row of the table after each of them."""
+    """Run trials until the staircase ends, and write a row of the table after each trial."""
     order = random.Random(1)
     procedure = staircase(trials)
     tested = {"stiffness_n_per_m": STANDARD_N_PER_M}

@@ -1,5 +1,4 @@
-"""PsychoPy's pictures during a session of `hapticd experiment`: the session's event codes select the picture on the
-screen.
+"""Pictures of PsychoPy during a session of `hapticd experiment`, selected by the event codes of the session.
 
     hapticd run                                            # in one terminal
     python examples/psychopy_stimuli.py                    # in another one, before the session
@@ -22,7 +21,7 @@ from hapticd.experiment.event_codes import EventCode, code_of
 
 WAIT_S: Final = 0.004
 """Time to wait for an event in each frame: short, so that `flip` keeps the screen's rate."""
-LAST: Final = frozenset({EventCode.SESSION_END, EventCode.SESSION_ABORTED})
+END_CODES: Final = frozenset({EventCode.SESSION_END, EventCode.SESSION_ABORTED})
 
 
 class Picture(Protocol):
@@ -62,7 +61,7 @@ def follow(
         if shown is not None:
             shown.draw()
         window.flip()
-        if code in LAST:
+        if code in END_CODES:
             return
 
 

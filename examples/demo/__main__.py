@@ -1,7 +1,7 @@
 """`python -m examples.demo`: run the demo, print the tables and save the plot.
 
-The exit code is 1 if a figure is wrong or the daemon failed. If missed periods left too little to measure, the demo
-reports it.
+The exit code is 1 if a figure is wrong or the daemon failed. The demo reports if too little could be measured because
+periods were missed.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def main() -> int:
         console.print(
             f"hapticd {status['version']}, {status['device']} at {rate_hz:g} Hz, "
             f"{'SCHED_FIFO' if realtime.get('priority') else 'without real-time rights'}; "
-            f"{len(taps.SPEEDS_M_PER_S)} taps on each material, {len(comb.WAYS)} strokes over a comb, "
-            f"{len(sandpaper.WAYS)} over sandpaper, a puncture"
+            f"{len(taps.SPEEDS_M_PER_S)} taps on each material, {len(comb.PASSES)} strokes over a comb, "
+            f"{len(sandpaper.PASSES)} over sandpaper, a puncture"
         )
         with Progress(console=console) as progress:
             seen = {part.material: repeat(daemon, progress, part) for part in all_parts(library)}
@@ -67,7 +67,7 @@ def main() -> int:
 
 
 def _compare(console: Console, seen: Mapping[str, Seen], library: Materials, rate_hz: float, marks: Marks) -> None:
-    """Print the measured figures next to those of the library, and draw them."""
+    """Print the measured figures next to those of the library, and save the plot."""
     measured = {name: each.measured for name, each in seen.items() if each.measured is not None}
     if tapped := {name: each for name, each in measured.items() if isinstance(each, taps.Tapped)}:
         console.print(taps.table(tapped, library, marks))

@@ -1,7 +1,7 @@
-"""A comb, displayed as vibration: every groove that the hand passes is one strike along the motion.
+"""A comb that is displayed as vibration: every groove that the hand passes causes one strike along the motion.
 
-The position shows when the hand passes a groove; the vibration shows the strike (`strikes`). If a servo without
-real-time privileges missed periods, nearby strikes are hidden, and their grooves are only counted from events.
+The position shows when the hand passes a groove; the vibration shows the strike (`strikes`). If the servo missed
+periods, nearby strikes are hidden: their grooves are only counted from events.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ STROKES: Final = tuple((speed, press, 1) for press in (0.5, 1.0, 1.5) for speed 
 """Speed in m/s, pressing force in N and number of passes of each stroke; directions alternate."""
 HALF_STROKE_M: Final = 0.0304
 """Half of the length of a stroke, whose ends lie between two grooves."""
-PATH, WAYS = stroking(HALF_STROKE_M, STROKES)
-WANTED: Final = 100
+PATH, PASSES = stroking(HALF_STROKE_M, STROKES)
+MIN_STRIKES: Final = 100
 """Minimum number of strikes from which gains are measured."""
-MAX_OFF_PLACE_M: Final = 1e-6
+MAX_POSITION_ERROR_M: Final = 1e-6
+"""Largest distance of a strike from its groove."""
 RAMP_S: Final = Scene().ramp_s
 
 
@@ -48,20 +49,22 @@ class Combing:
     force_n: Floats
     true_speed_m_per_s: Floats
     """True speed in the nearest event."""
-    whole: npt.NDArray[np.bool_]
-    """Whether that event has the same time, and neither the force limit nor a ramp changed the force."""
+    unscaled: npt.NDArray[np.bool_]
+    """Whether an event has the same time, and neither the force limit nor a ramp changed the force."""
     passed: int
+    """Number of grooves that the hand passed."""
     reported: int
     """Number of grooves in events."""
 
     @property
     def count(self) -> int:
-        return int(self.whole.sum())
+        """Number of strikes from which gains are measured."""
+        return int(self.unscaled.sum())
 
     def gains(self, speed: Floats) -> Floats:
         """Fit the gains of speed in 1/s and of force in m/s^2/N by least squares of |A| = g_v |v| + g_F F."""
-        columns = np.stack([abs(speed), self.force_n], axis=1)[self.whole]
-        return np.asarray(np.linalg.lstsq(columns, abs(self.strikes.amplitude[self.whole]), rcond=None)[0])
+        columns = np.stack([abs(speed), self.force_n], axis=1)[self.unscaled]
+        return np.asarray(np.linalg.lstsq(columns, abs(self.strikes.amplitude[self.unscaled]), rcond=None)[0])
 
 
 def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
@@ -83,8 +86,8 @@ def passages(recorded: Recorded, spacing_m: float) -> tuple[npt.NDArray[np.int64
     found: list[tuple[int, int]] = []
     for n in np.flatnonzero((cell[0] != cell[1]) & felt).tolist():
         low, high = sorted(cell[:, n].tolist())
-        met = range(low + 1, high + 1)
-        found += [(n, groove) for groove in (met if cell[1, n] > cell[0, n] else reversed(met))]
+        crossed = range(low + 1, high + 1)
+        found += [(n, groove) for groove in (crossed if cell[1, n] > cell[0, n] else reversed(crossed))]
     # The same groove counts again only if the hand was half a spacing away from it, on the surface.
     on_surface = np.where(np.stack([below[:-1] | felt, below[1:] | felt]), ends, np.nan).T.ravel()
     found = found[:1] + [
@@ -112,7 +115,7 @@ def measured(recorded: Recorded, material: Material) -> Combing:
     near = np.searchsorted(recorded.time_s, strikes.onset_s).tolist()
     free = ~np.array([limited[max(0, n - 1) : n + 2].any() for n in near], dtype=np.bool_)
     events = recorded.reported("groove")
-    # The first is a placeholder: it is the nearest only if there are no events.
+    # The first value is a placeholder, which is the nearest only if there are no events.
     onsets = np.array([-np.inf, *(recorded.onset_s(event) for event in events)])
     nearest = abs(strikes.onset_s[:, None] - onsets).argmin(axis=1)
     return Combing(
@@ -123,7 +126,7 @@ def measured(recorded: Recorded, material: Material) -> Combing:
         speed_m_per_s=at_strikes("velocity_m_per_s", 0),
         force_n=at_strikes("contact_force_n", 1),
         true_speed_m_per_s=np.array([np.nan, *(event["true_speed_m_per_s"] for event in events)])[nearest],
-        whole=free & (abs(strikes.onset_s - onsets[nearest]) < SAME_TIME_S),
+        unscaled=free & (abs(strikes.onset_s - onsets[nearest]) < SAME_TIME_S),
         passed=len(due),
         reported=sum(event["count"] for event in events),
     )
@@ -146,22 +149,19 @@ def table(found: Combing, material: Material, marks: Marks) -> Table:
     marks.expect(strikes.left_over == 0, f"comb: {strikes.left_over} samples ring without a groove")
     marks.expect(reported == found.passed, f"comb: {found.passed} grooves passed, events report {reported}")
     marks.expect(bool(np.all(strikes.amplitude * found.direction > 0)), "comb: a strike was not along the motion")
-    marks.expect(farthest <= MAX_OFF_PLACE_M, f"comb: a strike was {1e6 * farthest:.3g} um away from its groove")
+    marks.expect(farthest <= MAX_POSITION_ERROR_M, f"comb: a strike was {1e6 * farthest:.3g} um away from its groove")
     rows.add_row("grooves reported by events, and passed", f"{reported}", f"{found.passed}", "")
     where = ", away from missed periods" if seen + strikes.hidden == found.passed > seen else ""
     rows.add_row(f"strikes found, grooves passed{where}", f"{seen}", f"{found.passed - strikes.hidden}", "")
     rows.add_row("farthest strike from its groove, um", f"{1e6 * farthest:.4f}", "0", "")
-    rows.add_row("strikes that gains are measured from, wanted", f"{found.count}", f"{WANTED}", "")
-    if found.count < WANTED:
+    rows.add_row("strikes that gains are measured from, wanted", f"{found.count}", f"{MIN_STRIKES}", "")
+    if found.count < MIN_STRIKES:
         return rows
     spacing = float(np.polyfit(found.groove, found.position_m, 1)[0])
     row("spacing, mm", 1e3 * spacing, 1e3 * grooves.spacing_m, 5, 1e-3)
     row("frequency, Hz", strikes.frequency_hz, mode.frequency_hz, 1, 0.01)
     row("decay time, ms", 1e3 * strikes.decay_time_s, 1e3 * mode.decay_time_s, 3, 0.01)
-    for which, speed, limit in (
-        ("", found.speed_m_per_s, 0.01),
-        (" by true speed", found.true_speed_m_per_s, 0.03),
-    ):
+    for which, speed, limit in (("", found.speed_m_per_s, 0.01), (" by true speed", found.true_speed_m_per_s, 0.03)):
         per_speed, per_force = found.gains(speed)
         row(f"velocity gain{which}, 1/s", per_speed, grooves.velocity_gain_per_s, 2, limit)
         row(f"force gain{which}, m/s^2/N", per_force, grooves.force_gain_m_per_s2_per_n, 3, limit)

@@ -26,8 +26,10 @@ class Part:
     surface: Mapping[str, object]
     path: Waypoints
     measured: Callable[[Recorded], Any]
-    wanted: int
+    minimum: int
+    """Minimum count of the measurement, in `unit`."""
     unit: str
+    """What is counted: taps, strikes, strokes or ruptures."""
 
 
 @dataclass(slots=True)
@@ -44,13 +46,15 @@ class Seen:
 
     @property
     def enough(self) -> bool:
-        return self.measured is not None and self.measured.count >= self.part.wanted
+        """Whether there is enough to measure."""
+        return self.measured is not None and self.measured.count >= self.part.minimum
 
     def __str__(self) -> str:
         count = 0 if self.measured is None else self.measured.count
-        return f"{self.part.material}: {count} of {self.part.wanted} {self.part.unit}"
+        return f"{self.part.material}: {count} of {self.part.minimum} {self.part.unit}"
 
     def add(self, recorded: Recorded) -> None:
+        """Add the measurement of one repetition."""
         one = self.part.measured(recorded)
         self.measured = one if self.measured is None else joined([self.measured, one])
         self.disturbed |= len(recorded.gaps()) > 0
@@ -59,10 +63,11 @@ class Seen:
 
 
 def all_parts(library: Materials) -> list[Part]:
+    """Return the parts in order: taps on each material, comb, sandpaper, puncture."""
     floors = [
-        *((name, taps, "taps") for name, material in library.items() if material.tap is not None),
-        (comb.MATERIAL, comb, "strikes"),
-        (sandpaper.MATERIAL, sandpaper, "strokes"),
+        *((name, taps, taps.MIN_TAPS, "taps") for name, material in library.items() if material.tap is not None),
+        (comb.MATERIAL, comb, comb.MIN_STRIKES, "strikes"),
+        (sandpaper.MATERIAL, sandpaper, sandpaper.MIN_STROKES, "strokes"),
     ]
     return [
         *(
@@ -71,17 +76,17 @@ def all_parts(library: Materials) -> list[Part]:
                 {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": name},
                 how.PATH,
                 how.measured if how is taps else partial(how.measured, material=library[name]),
-                how.WANTED,
+                minimum,
                 unit,
             )
-            for name, how, unit in floors
+            for name, how, minimum, unit in floors
         ),
         Part(
             puncture.MATERIAL,
             puncture.SKIN,
             puncture.PATH,
             partial(puncture.measured, material=library[puncture.MATERIAL]),
-            puncture.WANTED,
+            puncture.MIN_RUPTURES,
             "ruptures",
         ),
     ]

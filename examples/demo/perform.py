@@ -1,4 +1,4 @@
-"""Running the daemon, commanding the operator, and recording telemetry."""
+"""Runs the daemon, commands the operator, and records telemetry."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ Waypoints = list[list[float]]
 MASS_KG: Final = 0.05
 """Effective mass of handle and hand in the default configuration: the ratio of force to acceleration."""
 GRIP_N_PER_M: Final = 300.0
-"""Stiffness of the hand of the default configuration."""
+"""Stiffness of the hand in the default configuration."""
 FLOOR_N_PER_M: Final = 800.0
 """Stiffness of the stroked materials."""
 HOVER_M: Final = 0.012
 """Height of the hand above the surface y = 0 between two motions."""
 PAUSE_BEFORE_STROKE_S: Final = 0.15
 START_TIMEOUT_S: Final = 180.0
-"""Time in which a daemon starts that gets a hundredth of a processor."""
+"""Time within which a daemon must start; enough with a hundredth of a processor."""
 ANSWER_TIMEOUT_S: Final = 30.0
 """A daemon that does not answer within this time has failed, even on a busy machine."""
 
@@ -59,7 +59,7 @@ class Recorded:
         return np.ascontiguousarray(self.samples["vibration_force_n"][:, axis]) / MASS_KG
 
     def gaps(self) -> npt.NDArray[np.intp]:
-        """Return the samples that follow missed periods."""
+        """Return the indices of the samples that follow missed periods."""
         return np.flatnonzero(np.diff(self.time_s) > 1.5 / self.rate_hz) + 1
 
     def flagged(self, flags: Flag) -> npt.NDArray[np.bool_]:
@@ -83,23 +83,23 @@ def stroking(
     A stroke has a speed in m/s, a pressing force in N and a number of passes. A pass has the number of its stroke, its
     begin and its end in s.
     """
-    now, x, path, ways = 0.5, -half_m, [[0.2, -half_m, HOVER_M]], []
+    now, x, path, passes = 0.5, -half_m, [[0.2, -half_m, HOVER_M]], []
     for number, (speed, press_n, count) in enumerate(strokes):
         # Hand and surface are springs in series.
-        depth, lasting = press_n * (1 / FLOOR_N_PER_M + 1 / GRIP_N_PER_M), 2 * half_m / speed
+        depth, duration = press_n * (1 / FLOOR_N_PER_M + 1 / GRIP_N_PER_M), 2 * half_m / speed
         path += [[now, x, -depth]] if number == 0 else []
         now += PAUSE_BEFORE_STROKE_S
         path.append([now, x, -depth])
         for _ in range(count):
-            ways.append((number, now, now + lasting))
-            x, now = -x, now + lasting
+            passes.append((number, now, now + duration))
+            x, now = -x, now + duration
             path.append([now, x, -depth])
     path += [
         [now + PAUSE_BEFORE_STROKE_S, x, path[-1][2]],
         [now + PAUSE_BEFORE_STROKE_S + 0.2, x, HOVER_M],
         [now + PAUSE_BEFORE_STROKE_S + 0.4, 0.0, HOVER_M],
     ]
-    return path, ways
+    return path, passes
 
 
 def joined(measured: Sequence[Any]) -> Any:

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 PLOT: Final = Path(__file__).parents[2] / "demo.png"
 """File of the plot in the repository, which git ignores."""
 THERE_AND_BACK: Final = (4, 3)
-"""The two strokes over the comb that are drawn, indices into `comb.STROKES`: even ones go to the right."""
+"""Indices in `comb.STROKES` of the two strokes that are drawn. Strokes with an even index go to the right."""
 
 
 def save(seen: Mapping[str, Seen], library: Materials, rate_hz: float) -> None:
-    """Draw every part with enough measurements."""
+    """Draw every part with enough measurements, and write the plot to PLOT."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -76,7 +76,7 @@ def _ringing(since: Floats, mode: Mode) -> Floats:
 def _tap(panel: Axes, name: str, recorded: Recorded, found: Tapped, material: Material) -> None:
     assert material.tap is not None
     mode = material.tap.mode
-    chosen = int(np.where(found.whole, found.speed, 0.0).argmax())
+    chosen = int(np.where(found.unscaled, found.speed, 0.0).argmax())
     since = recorded.time_s - found.strikes.onset_s[chosen]
     window = (since > -0.2 / mode.decay_rate_per_s) & (since < 5.5 / mode.decay_rate_per_s)
     panel.plot(1e3 * since[window], recorded.vibration(1)[window], ".", ms=4, label="rendered")
@@ -94,8 +94,8 @@ def _slopes(panel: Axes, fits: Mapping[str, Tapped], library: Materials) -> None
     for name, found in fits.items():
         tap = library[name].tap
         assert tap is not None
-        whole = found.whole
-        (line,) = panel.plot(found.true_speed[whole], abs(found.strikes.amplitude[whole]), "o", ms=3, label=name)
+        unscaled = found.unscaled
+        (line,) = panel.plot(found.true_speed[unscaled], abs(found.strikes.amplitude[unscaled]), "o", ms=3, label=name)
         ends = np.array([0, 1.02 * found.true_speed.max()])
         panel.plot(ends, [tap.amplitude_m_per_s2(end) for end in ends], lw=0.8, color=line.get_color())
     _dress(panel, "taps over the handle's true speed; lines: library", "m/s", "m/s²")
@@ -116,7 +116,7 @@ def _strokes(panel: Axes, combed: Recorded, material: Material) -> None:
     spacing = 1e3 * material.texture.spacing_m
     x, force = 1e3 * combed.samples["position_m"][:, 0], combed.samples["vibration_force_n"][:, 0]
     for number in THERE_AND_BACK:
-        begin, end = comb.WAYS[number][1:]
+        begin, end = comb.PASSES[number][1:]
         window = (combed.time_s > begin) & (combed.time_s < end)
         way = "→" if number % 2 == 0 else "←"
         panel.plot(x[window], force[window], lw=1, label=f"{way} {comb.STROKES[number][0]:g} m/s")
@@ -136,7 +136,7 @@ def _strikes(panel: Axes, combing: Combing, material: Material) -> None:
     nearest = np.array([min(presses, key=lambda press: abs(press - force)) for force in combing.force_n.tolist()])
     ends = np.array([0, 1.05 * abs(combing.speed_m_per_s).max()])
     for press in presses:
-        here = (nearest == press) & combing.whole
+        here = (nearest == press) & combing.unscaled
         if not here.any():
             continue
         amplitude = abs(combing.strikes.amplitude[here])

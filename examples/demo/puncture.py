@@ -15,18 +15,12 @@ from hapticd.config.materials import Material
 
 MATERIAL: Final = "cellophane"
 SKIN: Final = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.02, "material": MATERIAL}
-PATH: Final = [
-    [0.2, 0.0, HOVER_M],
-    [0.5, 0.0, 0.005],
-    [1.7, 0.0, -0.03],
-    [1.9, 0.0, -0.03],
-    [2.3, 0.0, HOVER_M],
-]
+PATH: Final = [[0.2, 0.0, HOVER_M], [0.5, 0.0, 0.005], [1.7, 0.0, -0.03], [1.9, 0.0, -0.03], [2.3, 0.0, HOVER_M]]
 """Waypoints of a hand that presses slowly through the membrane, and returns through the hole."""
 
 
-WANTED: Final = 1
-"""Minimum number of ruptures."""
+MIN_RUPTURES: Final = 1
+"""Minimum number of ruptures from which figures are measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +33,11 @@ class Torn:
     """Amplitude in m/s^2."""
     force_before_n: Floats
     force_after_n: Floats
-    """Largest force from the tick of the rupture on."""
+    """Largest force in the tick of the rupture and after it."""
     past_m: Floats
-    """Deflection at that tick beyond the rupture deflection."""
+    """Deflection beyond the rupture deflection, in the tick of the rupture."""
     travelled_m: Floats
-    """Distance travelled in that tick."""
+    """Distance travelled in the tick of the rupture."""
     unreported: int
     """Number of times that the deflection was exceeded without an event, not counting those at missed periods."""
 
@@ -89,8 +83,8 @@ def table(torn: Torn, material: Material, marks: Marks) -> Table:
     marks.expect(bool((torn.force_after_n == 0.0).all()), "the membrane still pushed at the tick of rupture")
     in_time = (torn.past_m > 0) & (torn.past_m <= torn.travelled_m)
     marks.expect(bool(in_time.all()), "the rupture came later than a tick's travel")
-    if torn.count < WANTED:
-        rows.add_row("ruptures that were seen", f"{torn.count} of {WANTED}")
+    if torn.count < MIN_RUPTURES:
+        rows.add_row("ruptures that were seen", f"{torn.count} of {MIN_RUPTURES}")
         return rows
     before, after, past, travelled = (
         float(each[-1]) for each in (torn.force_before_n, torn.force_after_n, torn.past_m, torn.travelled_m)

@@ -28,13 +28,14 @@ MATERIAL: Final = "sandpaper_100"
 STROKES: Final = ((0.05, 1.0, 1), (0.1, 0.5, 3), (0.1, 1.5, 3), (0.2, 1.0, 5))
 """Speed in m/s, pressing force in N and number of passes of each stroke."""
 HALF_STROKE_M: Final = 0.0645
-PATH, WAYS = stroking(HALF_STROKE_M, STROKES)
-WANTED: Final = len(STROKES)
-WANTED_TICKS: Final = 10_000
+PATH, PASSES = stroking(HALF_STROKE_M, STROKES)
+MIN_STROKES: Final = len(STROKES)
+MIN_TICKS: Final = 10_000
 """Minimum number of ticks of each stroke."""
-SETTLED_S: Final = 0.06
+SETTLING_S: Final = 0.06
 """Time after the start of a pass until the handle moves like the hand."""
 LIMIT_DEVIATIONS: Final = 4.0
+"""Limit of a difference, in standard deviations of the estimate."""
 PEAK_DEVIATION: Final = 0.11
 """Relative standard deviation of the peak frequency in 1 s (it falls with the root of time), from 60 recordings."""
 SEGMENT_TICKS: Final = 1024
@@ -62,8 +63,8 @@ class Sanding:
 
     @property
     def count(self) -> int:
-        """Number of strokes with at least WANTED_TICKS ticks."""
-        return sum(ticks >= WANTED_TICKS for ticks in self.ticks_of_strokes())
+        """Number of strokes with at least MIN_TICKS ticks."""
+        return sum(ticks >= MIN_TICKS for ticks in self.ticks_of_strokes())
 
     def mean_spectrum(self) -> Floats:
         return np.average(self.spectrum, axis=0, weights=self.ticks)
@@ -79,11 +80,11 @@ def measured(recorded: Recorded, material: Material) -> Sanding:
     law = _stochastic(material)
     noise, force = recorded.vibration(0), recorded.samples["contact_force_n"][:, 1]
     speed: Floats = abs(recorded.samples["velocity_m_per_s"][:, 0])
-    unlike = np.flatnonzero(recorded.flagged(Flag.RAMPING | Flag.SATURATED) | (force <= 0))
+    excluded = np.flatnonzero(recorded.flagged(Flag.RAMPING | Flag.SATURATED) | (force <= 0))
     found: list[tuple[int, int, float, Floats, float, float]] = []
-    for number, begin_s, end_s in WAYS:
-        begin, end = np.searchsorted(recorded.time_s, (begin_s + SETTLED_S, end_s)).tolist()
-        edges = [begin - 1, *unlike[(unlike >= begin) & (unlike < end)].tolist(), end]
+    for number, begin_s, end_s in PASSES:
+        begin, end = np.searchsorted(recorded.time_s, (begin_s + SETTLING_S, end_s)).tolist()
+        edges = [begin - 1, *excluded[(excluded >= begin) & (excluded < end)].tolist(), end]
         for here in (slice(before + 1, after) for before, after in pairwise(edges) if after - before > SEGMENT_TICKS):
             over_law = noise[here] / _rms(law, speed[here], force[here])
             spectrum = welch(over_law, recorded.rate_hz, nperseg=SEGMENT_TICKS, detrend=False)[1]
@@ -118,11 +119,13 @@ def peak_of(frequency_hz: Floats, spectrum: Floats, rate_hz: float) -> float:
     powers = place[:, None] ** np.arange(3)
     start = np.linalg.lstsq(powers * power[:, None], np.ones(len(power)), rcond=None)[0]
 
-    def unlikely(c: Floats) -> float:
+    def negative_log_likelihood(c: Floats) -> float:
         inverse = np.maximum(powers @ c, 1e-9)
         return float(np.sum(power * inverse - np.log(inverse)))
 
-    c = minimize(unlikely, start, method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-10, "maxiter": 4000}).x
+    c = minimize(
+        negative_log_likelihood, start, method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-10, "maxiter": 4000}
+    ).x
     peak = max(0.0, -c[1] / (2 * c[2])) * np.sin(np.pi * PEAK_BELOW_HZ / rate_hz) ** 2
     return float(np.arcsin(np.sqrt(peak)) * rate_hz / np.pi)
 
@@ -148,8 +151,8 @@ def table(found: Sanding, material: Material, rate_hz: float, marks: Marks) -> T
         seconds = float(found.ticks[here].sum()) / rate_hz
         row(what, over * wanted, wanted, 0.5 / float(np.sqrt(seconds * bandwidth_hz)), digits)
 
-    rows.add_row("strokes of which enough was seen", f"{found.count}", f"{WANTED}", "", "")
-    if found.count < WANTED:
+    rows.add_row("strokes of which enough was seen", f"{found.count}", f"{MIN_STROKES}", "", "")
+    if found.count < MIN_STROKES:
         return rows
     for number in range(len(STROKES)):
         here = found.stroke == number

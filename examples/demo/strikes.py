@@ -23,7 +23,7 @@ from hapticd.fit.ringing import Ringing, fit_ringing
 REST_BEFORE_ONSET_SAMPLES: Final = 8
 """Maximum number of silent samples before an onset that are part of its fit."""
 MIN_REST_BEFORE_ONSET_SAMPLES: Final = 2
-ROUNDING_OF_LOUDEST_SAMPLE: Final = 1e-6
+MAX_ROUNDING_ERROR: Final = 1e-6
 """Samples below this fraction of the largest sample are rounding errors."""
 ON_TICK_S: Final = 1e-9
 """A strike within this time of a tick is on the tick."""
@@ -35,7 +35,7 @@ SAME_TIME_S: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Strikes:
-    """The strikes that were found, in arrays (n,); times are those of the strike's recording."""
+    """The n strikes that were found, in arrays (n,). Times are relative to the beginning of the recording."""
 
     number: npt.NDArray[np.intp]
     """Index of each strike in the due times."""
@@ -52,22 +52,24 @@ class Strikes:
 
     @property
     def frequency_hz(self) -> float:
+        """Median frequency of the strikes."""
         return float(np.median(self.frequencies_hz))
 
     @property
     def decay_time_s(self) -> float:
+        """Median decay time of the strikes."""
         return float(np.median(self.decay_times_s))
 
     @property
     def late_s(self) -> float:
-        """Return the largest difference between onset and due time."""
+        """Largest difference between onset and due time, in s."""
         return float(abs(self.onset_s - self.due_s).max(initial=0.0))
 
 
 def strikes_of(recorded: Recorded, axis: int, due_s: Sequence[float] | Floats) -> Strikes:
     """Fit the strikes at the times `due_s`, in order."""
     time_s, rest = recorded.time_s, recorded.vibration(axis)
-    rounding = ROUNDING_OF_LOUDEST_SAMPLE * float(abs(rest).max())
+    rounding = MAX_ROUNDING_ERROR * float(abs(rest).max())
     # The sample of a strike on a tick is zero up to rounding.
     first = np.searchsorted(time_s, np.asarray(due_s) - ON_TICK_S).tolist()
     # A single exact zero may be a zero of the sine, unless the next strike follows it.
@@ -128,5 +130,5 @@ def strikes_of(recorded: Recorded, axis: int, due_s: Sequence[float] | Floats) -
 
 
 def _next(ordered: npt.NDArray[np.intp], at: int, otherwise: int) -> int:
-    """Return the first of the ordered samples from `at` on."""
+    """Return the first of the ordered indices that is at least `at`; `otherwise` if none is."""
     return next(iter(ordered[np.searchsorted(ordered, at) :].tolist()), otherwise)

@@ -18,7 +18,7 @@ from hapticd.config.materials import Materials
 SPEEDS_M_PER_S: Final = (0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.10, 0.11, 0.12, 0.13, 0.14, 0.15, 0.30)
 PRESS_DEPTH_M: Final = 0.004
 HOLD_S: Final = 0.06
-WANTED: Final = 10
+MIN_TAPS: Final = 10
 """Minimum number of taps below the force limit, from which a slope is measured."""
 
 
@@ -42,23 +42,26 @@ PATH: Final = _path()
 
 @dataclass(frozen=True, slots=True)
 class Tapped:
-    """The visible taps of a material; arrays have one element per tap. Slopes in 1/s use taps below the force limit."""
+    """The visible taps of a material; arrays have one element per tap. Slopes use taps below the force limit."""
 
     strikes: Strikes
     speed: Floats
+    """Estimated speed of each tap, in m/s."""
     true_speed: Floats
-    whole: npt.NDArray[np.bool_]
+    """True speed of the handle at each tap, in m/s."""
+    unscaled: npt.NDArray[np.bool_]
     """Whether the tap was below the force limit."""
     silent: int
     """Number of landings without the event of a tap, not counting those at missed periods."""
 
     @property
     def count(self) -> int:
-        return int(self.whole.sum())
+        """Number of taps below the force limit."""
+        return int(self.unscaled.sum())
 
     def slope(self, speeds: Floats) -> float:
-        """Return the regression of the amplitude on a speed through the origin."""
-        v, amplitude = speeds[self.whole], self.strikes.amplitude[self.whole]
+        """Return the slope of a line through the origin, fitted to the amplitudes over `speeds`, in 1/s."""
+        v, amplitude = speeds[self.unscaled], self.strikes.amplitude[self.unscaled]
         return float(v @ amplitude / (v @ v))
 
 
@@ -83,7 +86,7 @@ def measured(recorded: Recorded) -> Tapped:
         strikes=strikes,
         speed=np.array([event["speed_m_per_s"] for event in seen]),
         true_speed=np.array([event["true_speed_m_per_s"] for event in seen]),
-        whole=np.array([event["scale"] == 1.0 for event in seen], dtype=np.bool_),
+        unscaled=np.array([event["scale"] == 1.0 for event in seen], dtype=np.bool_),
         silent=len(np.setdiff1d(landings(recorded), [event["tick"] for event in events])),
     )
 
@@ -105,10 +108,10 @@ def table(tapped: Mapping[str, Tapped], library: Materials, marks: Marks) -> Tab
         marks.expect(found.silent == 0, f"{name}: the hand landed {found.silent} times without a tap")
         marks.expect(strikes.left_over == 0, f"{name}: {strikes.left_over} samples ring without a tap")
         marks.expect(strikes.late_s <= SAME_TIME_S, f"{name}: a tap begins {1e6 * strikes.late_s:.3g} us off its event")
-        if found.count < WANTED:
-            rows.add_row(name, "", "", "", "", f"{found.count} of {WANTED}")
+        if found.count < MIN_TAPS:
+            rows.add_row(name, "", "", "", "", f"{found.count} of {MIN_TAPS}")
             continue
-        scaled = len(found.whole) - found.count
+        scaled = len(found.unscaled) - found.count
         rows.add_row(
             name,
             cell("frequency", strikes.frequency_hz, mode.frequency_hz, 1, 0.01),

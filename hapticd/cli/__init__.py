@@ -1,22 +1,22 @@
 """The command line. The module of a command is imported when the command is used.
 
-Exit codes: 0; 1 if the command failed, also if its output cannot be written; 2 for a usage error; 130 for Ctrl-C. With
-1 and 2 one line on stderr states the error (see `failure`).
+Exit codes: 0 for success; 1 if the command failed or its output cannot be written; 2 for a usage error; 130 for Ctrl-C.
+With 1 and 2 one line on stderr states the error (see `failure`).
 
 `_MODULE_BY_COMMAND` maps each command to its file. The other files:
 
-    common      options that commands share, the client of the daemon, printing of results
-    engine      options and progress of commands that compute many points, fits or sessions on dask
-    failure     how a failed command reports its error
-    listening   options of commands that serve pages: address, port, TLS, browser
-    names       completion of names in a shell
-    streams     one-line errors for failed writes to standard output
-    synthesize  `hapticd fit synthesize`, a subcommand in fit
-    experiment_analyze  `hapticd experiment analyze`, a subcommand in experiment
-    experiment_run      `hapticd experiment run` and `resume`, subcommands in experiment
-    sweep_show          `hapticd sweep show`, a subcommand in sweep
+    common              options that commands share, the client of the daemon, printing of results
+    engine              options and progress of commands that compute many points, fits or sessions on dask
+    failure             how a failed command reports its error
+    listening           options of commands that serve pages: address, port, TLS, browser, demo
+    names               completion of names in a shell
+    streams             one-line errors for failed writes to standard output
+    synthesize          `hapticd fit synthesize`
+    experiment_analyze  `hapticd experiment analyze`
+    experiment_run      `hapticd experiment run` and `resume`
     experiment_bulk     `hapticd experiment run --count`: many simulated participants in parallel
     experiment_pages    the pages and the daemon of a session
+    sweep_show          `hapticd sweep show`
 
 Questions, and where to begin:
 
@@ -83,7 +83,7 @@ class _LazyGroup(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.NoSuchCommand as error:
-            # Click suggests only commands that are loaded; here none is.
+            # Click suggests only loaded commands, and here no command is loaded.
             raise click.NoSuchCommand(error.command_name, possibilities=_MODULE_BY_COMMAND, ctx=ctx) from None
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -126,7 +126,7 @@ def cli(ctx: click.Context, runtime_dir: str | None) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    # Set before numpy is loaded: otherwise its BLAS starts a thread for each processor, which no command needs.
+    # Set before numpy is loaded: otherwise its BLAS starts a thread for each processor, and no command needs them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with guarded() as line_lost:
         code = _run(arguments)
@@ -143,5 +143,5 @@ def _run(arguments: Sequence[str] | None) -> int:
     except (KeyboardInterrupt, click.Abort):
         return 130
     except (HapticdError, click.ClickException, MemoryError, OSError, RuntimeError) as error:
-        # A usage error has no parsed options, so --json is searched in the line, up to a -- that ends the options.
+        # After a usage error no option is parsed. So --json is searched in the arguments, up to a -- that ends options.
         return report_error(error, as_json="--json" in takewhile("--".__ne__, given))

@@ -44,7 +44,7 @@ class Finite(click.FloatRange):
 
 
 def configs_option(help: str) -> Callable[[_F], _F]:
-    """Return the option `-c`: configuration files in the given order, as the parameter `configs`."""
+    """Return the option `-c`: configuration files in their order, as the parameter `configs`."""
     return click.option(
         "-c", "--config", "configs", multiple=True, metavar="FILE", shell_complete=names.scenes, help=help
     )
@@ -157,13 +157,13 @@ def daemon(timeout_s: float | None = None) -> Client:
 
 
 class Stop(threading.Event):
-    """Event that is set when a command that runs for a while has to end."""
+    """Event that is set when a long-running command has to end."""
 
     signal: int | None = None
-    """SIGINT or SIGTERM, whichever came first; None if neither did."""
+    """The first signal that arrived, SIGINT or SIGTERM; None without a signal."""
 
     def exit_code(self, duration_s: float | None) -> int:
-        """Return 128 + `signal` if a signal ended the command before its duration was over, otherwise 0."""
+        """Return 128 + `signal` if a signal ended a command with a duration, otherwise 0."""
         return 0 if self.signal is None or duration_s is None else 128 + self.signal
 
 
@@ -195,7 +195,7 @@ def print_json(value: object) -> None:
 def note(text: str) -> None:
     """Print a line to stderr, since stdout is for the result.
 
-    With --json nothing is printed: the result has the same information, and stderr is for the object of an error.
+    With --json nothing is printed: the result has the same information, and stderr is for the JSON of an error.
     """
     ctx = click.get_current_context(silent=True)
     if ctx is not None and ctx.params.get("as_json"):
@@ -240,14 +240,14 @@ def print_table(
     rows: Iterable[Sequence[str]],
     title: str | None = None,
     *,
-    broken: str | None = None,
+    wrapped: str | None = None,
     stderr: bool = False,
     width: int | None = None,
 ) -> None:
     """Print a table of at most `width` characters, by default the width of the terminal.
 
     A column whose name begins with > has numbers, aligned to the right. If the table is too wide, only the cells of the
-    column `broken` are wrapped.
+    column `wrapped` are wrapped.
     """
     from rich import box
     from rich.console import Console
@@ -262,7 +262,7 @@ def print_table(
             widest = max((len(row[place]) for row in cells), default=1)
             table.add_column(name, justify="right", min_width=widest)
         else:
-            table.add_column(name, overflow="fold", no_wrap=column != broken)
+            table.add_column(name, overflow="fold", no_wrap=column != wrapped)
     for row in cells:
         table.add_row(*map(Text, row))
     Console(stderr=stderr, width=width, soft_wrap=True).print(table)
@@ -270,7 +270,7 @@ def print_table(
 
 @contextmanager
 def status_line() -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows a text as status line on a terminal. An empty text or the context's end erase it."""
+    """Yield a function that shows a text as status line on a terminal. An empty text erases the line."""
     try:
         yield _show
     finally:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from hapticd.client.blocking import Client
 
 RELOAD_TIMEOUT_S = 60.0
-"""Longest wait for the answer to a reload, in s. The daemon itself waits at most 10 s for its configuration files."""
+"""Longest wait for the answer to a reload, in s. It exceeds the 10 s in which the daemon must read its files."""
 
 _change_options = options(
     click.option("--wait", is_flag=True, help="Wait until the change is in force; print its tick."),
@@ -321,7 +321,7 @@ def force_command(state: str, as_json: bool) -> None:
                 raise
             if isinstance(error.data, dict) and "signs" in error.data["faults"]:
                 raise  # its message says what to do
-            # The message of the daemon advises to turn the forces on, which it has just refused.
+            # The message of the daemon advises to turn forces on, which the daemon has just refused.
             why = error.message.partition(": ")[0]
             raise RemoteError(error.code, f"{why}, and the cause persists", error.data) from None
     if "signs" in result:

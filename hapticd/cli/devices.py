@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from hapticd.hid.verdict import Verdict
 
 _MAX_DESCRIPTOR_FILE_BYTES: Final = 1 << 20
-"""At most this much of a file with a report descriptor is read, in bytes; no descriptor is longer as hex text."""
+"""A file with a report descriptor is read up to this size; no descriptor is longer, even as hex text."""
 
 
 @click.group("devices", invoke_without_command=True, short_help="List HID devices, or set one up.")
@@ -70,9 +70,9 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
 
 
 def _hid_of(configs: tuple[str, ...]) -> Hid:
-    """Return the section `device.hid` that `hapticd run` would use; its defaults if no HID device is configured.
+    """Return the section `device.hid` that `hapticd run` would use, or its defaults if no HID device is configured.
 
-    A faulty configuration is an error if it was given with -c. If it was found at a default path, a note is printed.
+    A faulty configuration given with -c is an error. For a faulty one at a default path a note is printed.
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.hid import Hid
@@ -102,9 +102,9 @@ def _verdict(item: SysfsDevice) -> str:
 
 
 def _selected(device: str | None, found: Sequence[SysfsDevice], what: str) -> SysfsDevice:
-    """Return the device with this path or VENDOR:PRODUCT, or the only device in `found`.
+    """Return the device in `found` with this path or VENDOR:PRODUCT; if `device` is None, the only one in `found`.
 
-    `what` is the predicate of the devices in errors, such as "can be driven".
+    `what` completes errors such as "2 devices can be driven". Raises HapticdError unless exactly one device matches.
     """
     matching = [item for item in found if device in (None, item.path, f"{item.vendor:04x}:{item.product:04x}")]
     if len(matching) == 1:
@@ -212,11 +212,11 @@ def calibrate_command(
         check_new(output, overwrite)
     config = config_of(configs)
     hid = config.device.hid
-    most_n = MAX_FORCE_SHARE * hid.full_scale_force_n
-    force_n = 0.5 * most_n if force_n is None else force_n
-    if force_n > most_n:
+    limit_n = MAX_FORCE_SHARE * hid.full_scale_force_n
+    force_n = 0.5 * limit_n if force_n is None else force_n
+    if force_n > limit_n:
         raise click.UsageError(
-            f"--force must be at most {most_n:g} N, a tenth of device.hid.full_scale_force_n, is {force_n:g}"
+            f"--force must be at most {limit_n:g} N, a tenth of device.hid.full_scale_force_n, is {force_n:g}"
         )
     opened = open_hid(hid.model_copy(update={"force_axes": ForceAxes()}))
     try:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 DEFAULT_DRIVE_FORCE_N: Final = 1.0
 """Largest force of `hapticd calibrate` by default, in N."""
 TAKE_HOLD_PAUSE_S: Final = 5.0
-"""Pause of `hapticd calibrate --yes` in which the user takes the handle, in s."""
+"""Pause of `hapticd calibrate --yes`, in s: time for the user to take the handle."""
 _ACCELEROMETER_HELP: Final = (
     "Recording of an accelerometer on the handle, .npz or .csv with time_s and acceleration_m_per_s2"
 )
@@ -58,8 +58,7 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
     else:
         _print(report)
     if report.faults:
-        things = "one thing" if report.faults == 1 else f"{report.faults} things"
-        note(f"{things} of the scene cannot be displayed as written, or may oscillate")
+        note(f"{wording.count(report.faults, 'thing')} of the scene cannot be displayed as written, or may oscillate")
     return 1 if report.faults else 0
 
 
@@ -82,7 +81,7 @@ def _print(report: Report) -> None:
     columns += ["fit"] if any(material.verdict for material in report.materials) else []
     materials = sorted(report.materials, key=lambda material: not material.used)
     rows = [_material_row(material)[: len(columns)] for material in materials]
-    print_table(columns, rows, "Materials", broken="sounds")
+    print_table(columns, rows, "Materials", wrapped="sounds")
     if output.dynamics is not None:
         click.echo(
             "error: RMS of the difference between the handle's acceleration and the library's, over the library's RMS, "
@@ -94,7 +93,7 @@ def _print(report: Report) -> None:
     if stability.sets:
         numbers = [">N/m", ">safe in any hand up to", ">stable in this hand up to", ">margin"]
         columns = ["objects", *numbers, "verdict", "by"]
-        print_table(columns, map(_set_row, stability.worst), "What can be touched together", broken="objects")
+        print_table(columns, map(_set_row, stability.worst), "What can be touched together", wrapped="objects")
         if stability.sets > len(stability.worst):
             shown = f"shown: {len(stability.worst)} of {stability.sets} sets, those with the least margins"
             click.echo(f"{shown}; {stability.unsafe} of all sets are not safe")
@@ -242,13 +241,7 @@ def _ask_for(recording: str, asks: bool) -> None:
 @click.option(
     "--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S", help="Speed of a tap."
 )
-@click.option(
-    "--axis",
-    type=click.Choice(["x", "y"]),
-    default="y",
-    show_default=True,
-    help="Axis of the strikes.",
-)
+@click.option("--axis", type=click.Choice(["x", "y"]), default="y", show_default=True, help="Axis of the strikes.")
 @click.option("--yes", is_flag=True, help="Begin without asking.")
 @json_option
 def verify_command(

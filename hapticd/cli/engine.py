@@ -27,7 +27,7 @@ _PROGRESS_PERIOD_S: Final = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Where:
-    """Values of the options that select where points are computed: processes, threads or a dask scheduler."""
+    """Values of the options of `engine_options`, which select where points are computed."""
 
     workers: int | None
     threads: bool
@@ -36,7 +36,7 @@ class Where:
 
 
 def engine_options(what: str) -> Callable[[_F], _F]:
-    """Return the options `--workers`, `--threads`, `--scheduler` and `--again`. `what` is a plural such as "points"."""
+    """Return the options `--workers`, `--threads`, `--scheduler`, `--again`. `what` is a word such as "points"."""
     return options(
         click.option(
             "--workers", type=click.IntRange(1, 1024), help="Number of processes [default: number of processors]."
@@ -57,13 +57,15 @@ def require_engine(where: Where) -> None:
     from hapticd.sweeps.store import require_pyarrow
 
     if where.scheduler is not None and (where.workers is not None or where.threads):
-        raise click.UsageError("--scheduler cannot be combined with --workers or --threads: it has its own workers")
+        raise click.UsageError(
+            "--scheduler cannot be combined with --workers or --threads: a scheduler has separate workers"
+        )
     require_dask()
     require_pyarrow()
 
 
 def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome, Store]:
-    """Compute the points that the folder of results lacks, with progress on stderr. `what` is a word for a point."""
+    """Compute points without a row in `folder`, with progress on stderr. `what` is the word for a point, as "fit"."""
     from hapticd.sweeps import engine
     from hapticd.sweeps.cluster import client_of
     from hapticd.sweeps.interrupts import sigterm_ends
@@ -87,7 +89,7 @@ def computed(work: Work, folder: Path, where: Where, what: str) -> tuple[Outcome
 
 
 def outcome_dict(outcome: Outcome, folder: Path, digest: str, what: str) -> dict[str, object]:
-    """Return the outcome of a run for --json. The number of points is under the key `what`, such as "fits"."""
+    """Return the outcome of a run for --json. The key `what`, such as "fits", has the number of points."""
     fields = asdict(outcome)
     for name in ("seconds", "worker_seconds"):
         fields[name] = round(fields[name], 3)
@@ -109,9 +111,8 @@ def _progress(what: str) -> Iterator[Callable[[Progress], None]]:
 
     def report(at: Progress) -> None:
         nonlocal last
-        left = "" if at.left_s is None else f", {wording.duration(at.left_s)} left"
         failed = f", {at.failed} failed" if at.failed else ""
-        line = f"{at.done} of {wording.count(at.total, what)}{left}{failed}"
+        line = f"{at.done} of {wording.count(at.total, what)}, {wording.duration(at.left_s)} left{failed}"
         show(line)
         if not sys.stderr.isatty() and monotonic() - last >= _PROGRESS_PERIOD_S:
             last = monotonic()

@@ -61,23 +61,23 @@ def check_command(study: str, configs: tuple[str, ...], as_json: bool) -> int:
 
 def _print(report: StudyReport) -> None:
     click.echo(report.title)
-    most = "at most " if report.at_most else ""
+    at_most = "at most " if report.at_most else ""
     before = {"practice trial": report.practice_trials, "training trial": report.training_trials}
     shown = [wording.count(count, thing) for thing, count in before.items() if count]
-    test = f"{most}{wording.count(report.test_trials, 'trial')}"
+    test = f"{at_most}{wording.count(report.test_trials, 'trial')}"
     click.echo(f"trials: {wording.listed([*shown, test])}; {wording.count(report.breaks, 'break')}")
     click.echo(
-        f"time: {most}{wording.duration(60 * report.minutes)}, at {wording.duration(report.expected_s)} a trial "
+        f"time: {at_most}{wording.duration(60 * report.minutes)}, at {wording.duration(report.expected_s)} a trial "
         "(trial.expected_s)"
     )
     click.echo("cells:")
-    many = len({cell.condition for cell in report.cells}) > 1
+    several = len({cell.condition for cell in report.cells}) > 1
     counts: dict[tuple[str, int], list[str]] = {}
     for cell in report.cells:
-        counts.setdefault((cell.condition if many else "", cell.trials), []).append(cell.cell)
+        counts.setdefault((cell.condition if several else "", cell.trials), []).append(cell.cell)
     for (condition, trials), cells in counts.items():
         begin = f"{condition}: " if condition else ""
-        of_each = f"{wording.count(len(cells), 'cell')} of {most}{wording.count(trials, 'trial')}"
+        of_each = f"{wording.count(len(cells), 'cell')} of {at_most}{wording.count(trials, 'trial')}"
         click.echo(f"  {begin}{of_each}: {'; '.join(cells)}")
     click.echo(f"correct: {report.correct or 'not defined; the analysis has no percentage correct'}")
     if report.correct is not None:

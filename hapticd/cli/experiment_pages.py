@@ -1,4 +1,4 @@
-"""The two pages of a session in the browser, their options, and the daemon of a session."""
+"""The two pages of a session in the browser, the options of these pages, and the daemon of a session."""
 
 from __future__ import annotations
 
@@ -29,14 +29,11 @@ pages_options = listening_options(
     "Port of the participant's page; the experimenter's page gets the next one. 0 chooses free ports.",
     last_port=65534,
 )
-demo_option = click.option(
-    "--demo", is_flag=True, help="Start a separate daemon with the simulated joystick for this command."
-)
 
 
 @contextmanager
 def place_of_session(ctx: click.Context, demo: bool) -> Iterator[RuntimePaths]:
-    """Yield the paths of the session's daemon; with `demo` run a separate daemon while the context is active."""
+    """Yield the paths of the session's daemon: with `demo` a separate one that runs while the context is active."""
     if not demo:
         from hapticd.protocol.places import place_of
 
@@ -50,7 +47,7 @@ def place_of_session(ctx: click.Context, demo: bool) -> Iterator[RuntimePaths]:
 
 
 def rig_at(place: RuntimePaths) -> Config:
-    """Return the configuration of the daemon at `place`, with its servo and device."""
+    """Return the configuration of the daemon with the paths `place`."""
     from hapticd.client.blocking import Client
     from hapticd.config.configuration import load_config
 
@@ -60,7 +57,7 @@ def rig_at(place: RuntimePaths) -> Config:
 
 @contextmanager
 def live_stage(place: RuntimePaths, lsl: bool) -> Iterator[DaemonStage]:
-    """Yield the renderer of trials on the daemon at `place`; with `lsl` also stream to Lab Streaming Layer."""
+    """Yield a stage that renders trials on the daemon at `place`; with `lsl` it streams to Lab Streaming Layer."""
     from hapticd.client.blocking import Client
     from hapticd.experiment.daemon_stage import DaemonStage
 

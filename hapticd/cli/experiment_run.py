@@ -13,8 +13,8 @@ from hapticd.base import wording
 from hapticd.base.errors import HapticdError, quoted
 from hapticd.cli.common import note
 from hapticd.cli.engine import Where, engine_options
-from hapticd.cli.experiment_pages import demo_option, live_stage, pages_options, place_of_session, rig_at, run_on_pages
-from hapticd.cli.listening import Listening
+from hapticd.cli.experiment_pages import live_stage, pages_options, place_of_session, rig_at, run_on_pages
+from hapticd.cli.listening import Listening, demo_option
 
 if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _SIMULATED_PREFIX = "simulated:"
 """Prefix of the value of --participant for a simulated participant."""
 _SessionOpener: TypeAlias = "Callable[[Stage], tuple[SessionFolder, SessionLog]]"
-"""A function that creates or opens the folder and the log of a session; its argument is the renderer of trials."""
+"""A function that creates or opens the folder and the log of a session. Its argument renders the trials."""
 
 _TEXT_WITH_DEMO_ERROR = "--text cannot be combined with --demo: only a page moves the hand of the simulated joystick"
 
@@ -117,20 +117,20 @@ def run_command(
     if len(labels) > 1 and not offline:
         raise click.UsageError("several participants need --offline; on a daemon, run one session after the other", ctx)
     if offline and demo:
-        raise click.UsageError("--offline cannot be combined with --demo: it uses no daemon", ctx)
+        raise click.UsageError("--offline cannot be combined with --demo: --offline uses no daemon", ctx)
     if telemetry is not None and not offline:
         raise click.UsageError(
             "--telemetry and --no-telemetry need --offline; on a daemon telemetry is always kept", ctx
         )
     if lsl and offline:
-        raise click.UsageError("--lsl cannot be combined with --offline: it needs a daemon, in real time", ctx)
+        raise click.UsageError("--lsl cannot be combined with --offline: --lsl needs a daemon, in real time", ctx)
     engine = Where(**where)
-    side_by_side = count is not None or engine != Where(None, False, None, False)
-    if side_by_side and not offline:
+    in_parallel = count is not None or engine != Where(None, False, None, False)
+    if in_parallel and not offline:
         raise click.UsageError(
             "--count, --workers, --threads, --scheduler and --again need --offline and simulated participants", ctx
         )
-    if side_by_side and telemetry:
+    if in_parallel and telemetry:
         raise click.UsageError(
             "--telemetry cannot be combined with --count, --workers, --threads, --scheduler or --again", ctx
         )
@@ -143,7 +143,7 @@ def run_command(
         note(f"{study}: changed since the session in {other}; `analyze` will combine both")
     if offline:
         _note_undisplayable(found, load_config({}), named=True)
-    if side_by_side:
+    if in_parallel:
         from hapticd.cli.experiment_bulk import run_bulk
 
         people = tuple(dict.fromkeys(label for label, _ in labels)) if count is None else numbered(labels[0][0], count)
@@ -253,9 +253,9 @@ def _with_stage(
 
 
 def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
-    """Print a note on stimuli that the device does not display as written; the session begins nevertheless.
+    """Print a note if the device does not display all stimuli as written. The session begins nevertheless.
 
-    With `named` the stimuli are listed, which a participant at this terminal must not read.
+    With `named` the note lists the stimuli. A participant at this terminal must not read this list.
     """
     from hapticd.experiment.cells import cells_of
     from hapticd.experiment.check import display_problems
@@ -269,7 +269,7 @@ def _note_undisplayable(study: Study, rig: Config, named: bool) -> None:
 
 
 def _run_shown(stage: Stage, front: PagesFront, open_session: _SessionOpener, plan: Plan, demo: bool) -> int:
-    """Run a session as `_run` does, show on its pages that the session has ended, and return its exit code."""
+    """Run a session with pages, show on the pages that the session has ended, and return its exit code."""
     thanks = "# Thank you\n\nThis was all. You can take your hand off the handle."
     stopped = "# The session has stopped\n\nThe forces are off. You can take your hand off the handle."
     try:
@@ -321,12 +321,12 @@ def _run(
     try:
         ending = session.run()
     finally:
-        # Tables are written after an interruption, too: they have everything in the log.
+        # Also after an interruption: the tables then have everything that is in the log.
         write_tables(folder)
     unneeded = len(session.done) - session.answered
-    most = "at most " if plan.study.may_end_early else ""
+    at_most = "at most " if plan.study.may_end_early else ""
     besides = f" ({unneeded} not needed)" if unneeded else ""
-    done = f"{folder.path}: {session.answered} of {most}{session.total} trials"
+    done = f"{folder.path}: {session.answered} of {at_most}{session.total} trials"
     if ending == "ended":
         click.echo(f"{done}, complete{besides}")
         return 0

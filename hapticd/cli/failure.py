@@ -3,7 +3,7 @@
     {"error": {"message": "...", "code": -32003, "exit_code": 1, "problems": [{"where": "...", "problem": "..."}]}}
 
 `code` is a code of the protocol: the daemon's answer, DAEMON_AWAY if no daemon runs, or INVALID_PARAMS if files or
-arguments are invalid; otherwise null. stdout keeps what was printed before the error. Ctrl-C is not reported.
+arguments are invalid; otherwise null. Output before the error stays on stdout. Ctrl-C is not reported.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hapticd.base.errors import HapticdError, InvalidError, collapse_whitespace,
 
 
 def report_error(error: Exception, as_json: bool) -> int:
-    """Print the error of a command to stderr and return the exit code. An error that is a bug is raised again."""
+    """Print the error of a command to stderr and return the exit code. An unexpected error, a bug, is raised again."""
     message = _message(error, as_json)
     exit_code = error.exit_code if isinstance(error, click.ClickException) else 1
     problems = getattr(error, "problems", ())

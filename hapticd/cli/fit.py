@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from hapticd.sweeps.batches.ranking import MaterialResult
 
 _MAX_RANKING_ROWS: Final = 100
-"""Largest number of rows of a printed ranking."""
+"""Maximum number of rows of a printed ranking."""
 _REDIRECTED_RANKING_WIDTH: Final = 4096
 """Largest width of a ranking that is not printed to a terminal, in characters."""
 
@@ -173,7 +173,7 @@ def _run(
     # Arguments are checked before any file is read.
     require_scipy()
     if merge and output is None:
-        raise click.UsageError("--merge needs -o, the file that it adds to")
+        raise click.UsageError("--merge needs -o, the file to which the material is added")
     name = name if name is not None else kind if output is None else Path(output).stem
     validate_materials({name: {"stiffness_n_per_m": STIFFNESS_N_PER_M}})
     if len(files) > MAX_PROVENANCE_FILES:
@@ -250,7 +250,7 @@ def batch_command(tree: str, output: Path | None, as_json: bool, **where: Any) -
         note(f"{wording.count(len(found.others), 'file')} left out, not recordings: {shown_files(found.others)}")
     batch = Batch(found)
     with warnings.catch_warnings():
-        # Each fit does this as well; but in threads, the last fit to end would restore the filter of another one.
+        # Each fit does this, too. But in threads, the last fit to end would restore the filter of another fit.
         warnings.simplefilter("ignore", RuntimeWarning)
         outcome, store = computed(batch, folder, engine, "fit")
     results = ranked(batch, store.table().to_pylist(), datetime.date.today())
@@ -284,7 +284,7 @@ def _can_draw() -> bool:
 
 
 def _print_ranking(results: Sequence[MaterialResult]) -> None:
-    """Print the ranking of at most the 100 worst materials; if stdout is not a terminal, one line for each material."""
+    """Print the ranking of at most the _MAX_RANKING_ROWS worst materials. A row is one line if stdout is redirected."""
     hidden = max(0, len(results) - _MAX_RANKING_ROWS)
     if hidden:
         click.echo(f"the best {hidden} are not shown; see ranking.csv")
@@ -294,4 +294,4 @@ def _print_ranking(results: Sequence[MaterialResult]) -> None:
         count = sum(len(fit.recordings.files) for fit in each.fits)
         rows.append((str(rank), each.name, each.quality, kinds, str(count), each.shown_reasons))
     columns = (">rank", "material", "verdict", "fits", ">recordings", "reasons")
-    print_table(columns, rows, broken="reasons", width=None if sys.stdout.isatty() else _REDIRECTED_RANKING_WIDTH)
+    print_table(columns, rows, wrapped="reasons", width=None if sys.stdout.isatty() else _REDIRECTED_RANKING_WIDTH)

@@ -1,4 +1,4 @@
-"""Options of commands that serve pages: address, port, TLS, password, browser; and a check for `--demo`."""
+"""Options of commands that serve pages: address, port, TLS, password, browser, `--demo`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Listening(TypedDict):
 def listening_options(what: str, port: int, port_help: str, last_port: int = 65535) -> Callable[[_F], _F]:
     """Return the options of a command that serves pages, as the parameter `listening`.
 
-    --open opens `what`; `last_port` is the largest port allowed.
+    `what` names the pages in the help of --open; `last_port` is the largest port allowed.
     """
 
     def decorate(command: _F) -> _F:
@@ -35,12 +35,7 @@ def listening_options(what: str, port: int, port_help: str, last_port: int = 655
         @click.option("--port", type=click.IntRange(0, last_port), default=port, show_default=True, help=port_help)
         @click.option("--tls-cert", type=click.Path(), metavar="FILE", help="TLS certificate with its chain.")
         @click.option("--tls-key", type=click.Path(), metavar="FILE", help="Key of the TLS certificate.")
-        @click.option(
-            "--password-file",
-            type=click.Path(),
-            metavar="FILE",
-            help="Accept the password in FILE as well.",
-        )
+        @click.option("--password-file", type=click.Path(), metavar="FILE", help="Accept the password in FILE as well.")
         @functools.wraps(command)
         def with_listening(*args: Any, **options: Any) -> Any:
             listening = {name: options.pop(name) for name in Listening.__annotations__}
@@ -51,7 +46,12 @@ def listening_options(what: str, port: int, port_help: str, last_port: int = 655
     return decorate
 
 
+demo_option = click.option(
+    "--demo", is_flag=True, help="Start a separate daemon with the simulated joystick for this command."
+)
+
+
 def refuse_another_daemon(ctx: click.Context) -> None:
     """Raise UsageError if --demo is combined with --runtime-dir, which names another daemon."""
     if ctx.find_root().get_parameter_source("runtime_dir") == ParameterSource.COMMANDLINE:
-        raise click.UsageError("--demo cannot be combined with --runtime-dir: it starts a separate daemon", ctx)
+        raise click.UsageError("--demo cannot be combined with --runtime-dir: --demo starts a separate daemon", ctx)

@@ -29,7 +29,7 @@ _STATUS_TIMEOUT_S = 2.0
 """Longest wait of `hapticd doctor` for the status of the daemon, in s."""
 _SHIPPED_FOLDERS: Final[tuple[Folder, ...]] = ("scenes", "operators", "materials", "experiments", "sweeps")
 SOURCE_TREE = Path(__file__).resolve().parent.parent.parent
-"""Root of the source tree, if hapticd is imported from one; the benchmarks are there."""
+"""Root of the source tree, with the benchmarks, if hapticd is imported from a source tree."""
 SCRIPT_PATH_BY_SHELL: Final = {
     "bash": "share/bash-completion/completions/hapticd",
     "zsh": "share/zsh/site-functions/_hapticd",
@@ -38,7 +38,7 @@ SCRIPT_PATH_BY_SHELL: Final = {
 """Path of the completion script of each shell, below the prefix of an installation."""
 
 _COMPLETION_CALL: Final = re.compile(r"(_complete \$1|_complete hapticd|\(commandline -t\) hapticd)(?=\))")
-"""End of the call of hapticd in a completion script of click, without the bracket that closes the substitution."""
+"""End of the call of hapticd in a completion script of click, up to the closing bracket of the substitution."""
 
 
 @click.command("doctor", short_help="Check whether this machine is ready.")

@@ -1,7 +1,7 @@
 """Completion of names in a shell: shipped files, materials, objects.
 
-The user waits after pressing Tab. So each completion imports only the modules that it needs, connects to no other
-machine, and offers nothing if an error occurs.
+The user waits after pressing Tab. So a completion imports only the modules that it needs, and never connects to another
+machine. After an error it offers nothing.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Complete: TypeAlias = "Callable[[click.Context, click.Parameter, str], list[Comp
 _COMPLETION_TIMEOUT_S: Final = 0.3
 """Longest wait for an answer of the daemon, in s."""
 _UNQUOTED_NAME: Final = re.compile(r"[\w.+-]+")
-"""File names that no shell has to quote; others are not offered."""
+"""File names that need no quotes in any shell; other names are not offered."""
 
 
 def _completion_of(known: Callable[[click.Context], Iterable[str]], otherwise: str | None = None) -> Complete:
-    """Return a completion of the names from `known`; if none matches, the shell completes `otherwise`: "file"."""
+    """Return a completion of the names that `known` returns; if no name matches, the shell completes `otherwise`."""
 
     def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:
         found = [CompletionItem(name) for name in known(ctx) if name.startswith(incomplete)]
@@ -39,7 +39,7 @@ def _completion_of(known: Callable[[click.Context], Iterable[str]], otherwise: s
 
 
 def _files(folder: Folder) -> Complete:
-    """Return a completion of shipped names and YAML files of the current folder; if none matches, of any file."""
+    """Return a completion of shipped names and YAML files in the current folder; if none matches, of all files."""
 
     def known(ctx: click.Context) -> list[str]:
         from hapticd.config.shipped_files import shipped

@@ -24,7 +24,7 @@ class OutputLost(HapticdError, OSError):
 class _Stream(io.FileIO):
     """An output stream that discards data that cannot be written, so that a daemon continues without its log.
 
-    With `raises` the first failed write raises OutputLost; later writes do not, since Python flushes again at the exit.
+    With `raises` the first failed write raises OutputLost. Later ones do not, since Python flushes again at the exit.
     """
 
     def __init__(self, descriptor: int, raises: bool) -> None:

@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from hapticd.sweeps.store import Store
 
 _MAX_PRINTED_ROWS: Final = 40
-"""Largest number of rows of the printed table; --json has all."""
+"""Maximum number of rows of the printed table; --json prints all rows."""
 _MAX_MEASURED_WIDTH: Final = 4096
-"""Upper bound of the width of a printed table, in characters."""
+"""Largest width of a printed table, in characters."""
 _PAGE_SUFFIX: Final = ".html"
 _OTHER_RESULTS_BY_KIND: Final = {
     "batch": "results of hapticd fit batch; see its report.html",
     "participants": "sessions of simulated participants; use: hapticd experiment analyze",
 }
-"""Contents of the result folders of other commands that use the engine of sweeps, and what displays them."""
+"""What result folders of other commands contain, and how to show it, by the `kind` in study.json."""
 
 
 @click.command("show", short_help="Show the results of a sweep.")
@@ -104,7 +104,7 @@ def _draw(store: Store, folder: Path | None, page: str | None, overwrite: bool) 
 def _condition(text: str, columns: Sequence[Column]) -> tuple[str, Value]:
     """Return column and value of a condition of --where, such as `suffices=yes`.
 
-    The part of a column's name after the last dot is enough if no other column ends in the same part.
+    The condition may have only the last part of a dotted column name, if no other name ends in the same part.
     """
     name, equals, value = text.partition("=")
     if not equals:

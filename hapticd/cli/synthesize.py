@@ -215,15 +215,15 @@ def _values(owner: object, *names: str) -> _Truth:
 
 
 def _seeded(stylus: Stylus, count: int) -> list[Stylus]:
-    """Return a stylus with a separate seed for each of `count` recordings.
+    """Return a stylus with a different seed for each of `count` recordings.
 
-    The seeds of up to 1000 recordings differ from those with any other --seed.
+    With up to 1000 recordings, no seed also occurs with another --seed.
     """
     return [replace(stylus, seed=1000 * stylus.seed + index) for index in range(count)]
 
 
 def _targets(output: str, count: int) -> list[str]:
-    """Return the names of `count` files: `output`, or for several files `output` with -1, -2 and so on before .npz."""
+    """Return the names of `count` files: `output` for one file, else `output` with -1, -2 and so on before .npz."""
     if count == 1:
         return [output]
     stem, ending = os.path.splitext(output)

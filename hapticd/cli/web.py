@@ -10,11 +10,11 @@ import click
 
 from hapticd.base.errors import HapticdError
 from hapticd.cli.common import configs_option, log_options
-from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
+from hapticd.cli.listening import Listening, demo_option, listening_options, refuse_another_daemon
 
 
 @click.command("web", short_help="Serve a page for the browser.")
-@click.option("--demo", is_flag=True, help="Start a separate daemon with the simulated joystick for this command.")
+@demo_option
 @configs_option(
     "Configuration of the daemon of --demo, as `hapticd run -c`  [default: a scene with every kind of surface]"
 )
@@ -54,20 +54,13 @@ def web_command(
     if demo:
         refuse_another_daemon(ctx)
     if configs and not demo:
-        raise click.UsageError("--config needs --demo: a running daemon has its configuration", ctx)
+        raise click.UsageError("--config needs --demo: a running daemon already has a configuration", ctx)
     from hapticd.protocol.places import place_of
     from hapticd.web.process import Options, run
 
     place = None if demo else place_of(ctx.find_root().obj)
     return run(
-        Options(
-            place=place,
-            configs=configs,
-            **listening,
-            log_level=log_level,
-            recordings=recordings,
-            metrics=metrics,
-        )
+        Options(place=place, configs=configs, **listening, log_level=log_level, recordings=recordings, metrics=metrics)
     )
 
 

@@ -107,7 +107,7 @@ def _listed(study: SweepStudy, name: str, axis: SweepAxis) -> tuple[Value, ...] 
 
 
 def _as_floats_if_mixed(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats:
-    """Return the values of an axis as an array of floats if all are numbers and any is a float, otherwise unchanged."""
+    """Return the values as an array of floats if all are numbers and any is a float, otherwise unchanged."""
     kinds = set(map(type, values))
     if float in kinds and kinds <= {int, float}:
         return np.array(values, dtype=np.float64)
@@ -115,14 +115,14 @@ def _as_floats_if_mixed(values: tuple[Value, ...]) -> tuple[Value, ...] | Floats
 
 
 def shown_value(value: Value, kind: Kind) -> Value:
-    """Return a value as a column of kind `kind` stores it: a text column stores numbers and booleans as text."""
+    """Return a value as a column of kind `kind` stores it; a text column stores numbers and booleans as text."""
     if kind != "text" or isinstance(value, str):
         return value
     return str(value).lower() if isinstance(value, bool) else f"{value}"
 
 
 def _quantiles(axis: SweepAxis, probabilities: Floats) -> Floats:
-    """Return the quantiles of the distribution of an axis, (n,), at probabilities from 0 to 1, (n,)."""
+    """Return the quantiles of an axis with a distribution at n probabilities from 0 to 1, (n,)."""
     if axis.is_normal:
         assert axis.mean is not None and axis.standard_deviation is not None
         inverse = NormalDist(axis.mean, axis.standard_deviation).inv_cdf
@@ -134,7 +134,7 @@ def _quantiles(axis: SweepAxis, probabilities: Floats) -> Floats:
 
 
 def _drawn(study: SweepStudy, name: str, axis: SweepAxis, count: int) -> Axis:
-    """Return an axis of `count` random values; in a Latin hypercube the values are stratified in probability."""
+    """Return an axis with a random value for each of `count` points; a Latin hypercube draws one from each stratum."""
     random = _random(study, name)
     if study.combine == "random":
         probabilities = random.random(count)

@@ -1,4 +1,4 @@
-"""The scale of an axis: linear, logarithmic or categories, in a unit that keeps its numbers short."""
+"""The scale of a figure's axis: linear, logarithmic or categories, in a unit in which numbers are short."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from hapticd.analysis.drawing import literal, plain_decades
 from hapticd.fit.report import LABELS_BY_DECADES, MAX_LABELLED_DECADES
 from hapticd.sweeps.columns import Column, Value
+from hapticd.sweeps.refine import BOUNDARY_COLUMN
 from hapticd.sweeps.results import Results
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ Spacing: TypeAlias = Literal["linear", "logarithmic", "categories"]
 Which: TypeAlias = Literal["x", "y"]
 
 LOGARITHMIC_FROM_RATIO: Final = 30.0
-"""The axis of positive measured values is logarithmic if the largest is at least 30 times the smallest."""
+"""An axis of positive measured values is logarithmic if the largest value is at least 30 times the smallest."""
 _PLAIN_FROM, _PLAIN_BELOW = 1e4, 1e7
 """Floats of a magnitude from 1e4 to 1e7 are written without an exponent: 10000."""
 _MAX_TICKS: Final = 8
@@ -34,7 +35,7 @@ _READABLE_UNITS: Final[dict[str, tuple[tuple[float, float, str], ...]]] = {
     "kg": ((1.0, 1e3, "g"),),
     "us": ((math.inf, 1.0, "µs"),),
 }
-"""Tuples (limit, factor, unit) for each unit: if all values are below the limit, values times factor are in `unit`."""
+"""For each unit, tuples (limit, factor, other unit): values all below limit are shown times factor, in the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +66,13 @@ class Scale:
         return f"{shown(self.factor * value)} {self.unit if with_unit else ''}".rstrip()
 
     def edges(self, centers: Floats) -> Floats:
-        """Return the edges of cells around ascending centers, (n + 1,), half way between neighbours on the axis."""
+        """Return the edges of n cells, (n + 1,), half way between their centers, which are in ascending order."""
         if len(centers) == 1:
             step = 0.5 if self.spacing == "categories" else abs(centers[0]) * 0.1 or 0.5
             return np.array([centers[0] - step, centers[0] + step])
-        laid = np.log(centers) if self.spacing == "logarithmic" else centers
-        middle = (laid[1:] + laid[:-1]) / 2
-        found = np.concatenate(([2 * laid[0] - middle[0]], middle, [2 * laid[-1] - middle[-1]]))
+        at = np.log(centers) if self.spacing == "logarithmic" else centers
+        middle = (at[1:] + at[:-1]) / 2
+        found = np.concatenate(([2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]))
         return np.exp(found) if self.spacing == "logarithmic" else found
 
     def prepare(self, axes: Axes, which: Which) -> None:
@@ -80,7 +81,7 @@ class Scale:
             (axes.set_xscale if which == "x" else axes.set_yscale)("log")
 
     def label_ticks(self, axes: Axes, which: Which) -> None:
-        """Label as many ticks of the axis `which` as have room, with plain numbers. Must be called after drawing."""
+        """Label the ticks of the axis `which`, if there is room, with plain numbers. Must be called after drawing."""
         from matplotlib.ticker import NullLocator
 
         axis = axes.xaxis if which == "x" else axes.yaxis
@@ -94,7 +95,7 @@ class Scale:
         low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
         decades = math.log10(high / low)
         if decades <= MAX_LABELLED_DECADES:
-            plain_decades(axis, next(steps for most, steps in LABELS_BY_DECADES if decades <= most))
+            plain_decades(axis, next(steps for limit, steps in LABELS_BY_DECADES if decades <= limit))
         # matplotlib adds ticks beyond the limits, which would stretch the axis.
         (axes.set_xlim if which == "x" else axes.set_ylim)(low, high)
 
@@ -111,7 +112,7 @@ def shown(value: Value) -> str:
 
 
 def key_scale(results: Results, name: str) -> Scale:
-    """Return the scale of a varied key: logarithmic if its values are spaced logarithmically."""
+    """Return the scale of a varied key: categories for texts, else linear or logarithmic as its values are spaced."""
     column, values = results.column(name), results.values(name)
     if column.kind in ("text", "boolean"):
         return Scale(results.words(name), "categories", categories=tuple(values))
@@ -125,7 +126,7 @@ def key_scale(results: Results, name: str) -> Scale:
 
 
 def measured_scale(results: Results, names: Sequence[str], words: str | None, values: Sequence[Value]) -> Scale:
-    """Return the scale of an axis that shows `values` of measured columns with the same unit; `words` is its label."""
+    """Return the scale of an axis for `values` of measured columns with one unit; `words` is the label, if any."""
     column = results.column(names[0])
     shows_no_unit = words is None and names[0] not in results.study.labels
     words = words or ", ".join(results.words(name) for name in names)
@@ -134,7 +135,7 @@ def measured_scale(results: Results, names: Sequence[str], words: str | None, va
     known = np.array([float(value) for value in values if value is not None])
     numbers = known[np.isfinite(known)]
     refine = results.study.refine
-    if refine is not None and names[0] == "boundary":
+    if refine is not None and names[0] == BOUNDARY_COLUMN:
         logarithmic = refine.spacing == "logarithmic"
     else:
         logarithmic = len(numbers) > 0 and bool(
@@ -163,7 +164,7 @@ def _scale(words: str, column: Column, numbers: Floats, logarithmic: bool, shows
 
 
 def _geometric(numbers: Floats) -> bool:
-    """Return whether the ratios of successive numbers vary less than the differences of successive numbers."""
+    """Return whether the ratios of successive numbers vary relatively less than their differences."""
     if len(numbers) < 3 or numbers.min() <= 0:
         return False
     steps, ratios = np.diff(numbers), np.diff(np.log(numbers))

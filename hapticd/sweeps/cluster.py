@@ -18,11 +18,11 @@ from hapticd.sweeps.interrupts import deferred_interrupts
 SCHEDULER_TIMEOUT_S: Final = 10.0
 """Time in s within which a scheduler must answer."""
 WORKERS_START_TIMEOUT_S: Final = 120.0
-"""Time in s within which all local worker processes must start; long enough for a busy machine."""
+"""Time in s within which all local worker processes must start, also on a busy machine."""
 WORKER_END_TIMEOUT_S: Final = 1.0
 """Time in s that a worker gets to end before it is killed."""
 _LOCAL_ADDRESS: Final = "127.0.0.1:0"
-"""Port 0 stands for any free port; only this machine can reach it."""
+"""An address that only this machine can reach; port 0 stands for any free port."""
 _MONITORING_SETTINGS: Final = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
@@ -83,7 +83,7 @@ def _reached(scheduler: str) -> Iterator[Any]:
     from distributed import Client
 
     try:
-        # Checked without a client: one that fails to connect tries again when it is deleted.
+        # Checked without a client: a client that fails to connect tries again when it is deleted.
         found = asyncio.run(_kind_of(scheduler))
         if found != "Scheduler":
             raise HapticdError(f"{scheduler}: not a dask scheduler, but a {found.lower()}")

@@ -7,12 +7,13 @@ from typing import Final
 from hapticd.sweeps.figure_faults import MAX_FIGURE_LINES
 from hapticd.sweeps.figure_keys import SweepFigure
 from hapticd.sweeps.map_figure import MAX_MAP_TEXTS
+from hapticd.sweeps.refine import BOUNDARY_COLUMN
 from hapticd.sweeps.results import Results
 
 MAX_DEFAULT_FIGURES: Final = 6
 """Largest number of default figures."""
 _MIN_MAP_VALUES: Final = 5
-"""Two keys with at least 5 values each are drawn as a map; with fewer values, one line for each is clearer."""
+"""Two keys with at least 5 values each are drawn as a map; with fewer values, a line for each value is clearer."""
 
 
 def default_figures(results: Results) -> list[SweepFigure]:
@@ -47,7 +48,7 @@ def default_figures(results: Results) -> list[SweepFigure]:
 def _drawn(results: Results, is_map: bool) -> list[str]:
     """Return the measured columns that can be drawn (as a map if `is_map`, else as lines) and have any value."""
     if results.study.refine is not None:
-        return ["boundary"]
+        return [BOUNDARY_COLUMN]
     found = []
     for name in results.named("measured"):
         values = {row[name] for row in results.rows} - {None}

@@ -1,7 +1,7 @@
 """The engine: computes the points of a study on the workers of a dask scheduler.
 
-A piece is a group of points that a worker computes as one dask task, in 1 to 10 s (less for the last ones). Only a few
-pieces are submitted at a time, so that a million points are never a million tasks. Only this process writes results; it
+A piece is a group of points that a worker computes as one dask task, in 1 to 10 s (the last pieces in less). Only a few
+pieces are submitted at a time, so that a million points are never a million tasks. Only this process writes results: it
 writes the rows of a piece as soon as they arrive. A worker needs only hapticd and the content of its piece.
 """
 
@@ -28,19 +28,19 @@ from hapticd.sweeps.work import Work
 from hapticd.sweeps.worker_check import code_version
 
 MIN_PIECE_S: Final = 1.0
-"""Shortest computing time of a piece, except for the last ones, in s."""
+"""Shortest computing time of a piece (a group of points) in s; the last pieces of a study may be shorter."""
 MAX_PIECE_S: Final = 10.0
-"""Longest computing time of a piece, in s."""
+"""Longest computing time of a piece (a group of points), in s."""
 MIN_PIECES_PER_THREAD: Final = 20
-"""A study has at least 20 pieces for each thread of a worker, unless these would be shorter than MIN_PIECE_S."""
+"""Each thread of a worker gets at least 20 pieces of a study, unless pieces would be shorter than MIN_PIECE_S."""
 QUEUED_PIECES_PER_THREAD: Final = 2
-"""Number of pieces that wait at a worker for each of its threads, besides the one being computed."""
+"""Number of pieces that wait at a worker for each of its threads, in addition to the piece that is computed."""
 WORKER_WAIT_S: Final = 30.0
 """Time in s after which a study ends if the scheduler has no workers."""
 WORKER_POLL_S: Final = 1.0
 """Interval in s at which the list of workers is read while no piece finishes."""
-WORKERS_ENDED_REASON: Final = "every worker that computed it ended: too little memory, or a crash"
-"""Error of a point if every worker that computed it ended."""
+WORKERS_ENDED_REASON: Final = "every worker that computed this point ended: too little memory, or a crash"
+"""Error in the row of a point that ended all its workers."""
 MIN_LAST_PIECE_S: Final = 0.1
 """Shortest computing time in s of the last pieces, which are made short so that all workers finish together."""
 
@@ -56,8 +56,8 @@ class Progress:
     total: int
     failed: int
     """Points that were computed and whose row has an error."""
-    left_s: float | None
-    """Estimated remaining time; None if it is unknown."""
+    left_s: float
+    """Estimated remaining time, in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ class _Engine:
     to_retry: deque[Indices] = field(default_factory=deque)
     """Pieces that have to be computed again."""
     suspects: deque[Indices] = field(default_factory=deque)
-    """Points whose worker ended, perhaps because of another piece. At the end each is computed in its own piece."""
+    """Points whose worker ended, perhaps because of other points. At the end each is computed in a separate piece."""
     trying_suspect: bool = False
     submitted: dict[Any, _SubmittedPiece] = field(default_factory=dict)
     """Submitted pieces by their futures."""
@@ -172,13 +172,13 @@ class _Engine:
             known = self._threads_of_workers()
         usable = {each: threads for each, threads in known.items() if each not in self.refused}
         if not usable:
-            why = "none of its workers runs this hapticd" if known else "it has no workers"
+            why = "none of its workers runs this version of hapticd" if known else "it has no workers"
             raise HapticdError(f"{self.client.scheduler.address}: the scheduler cannot be used: {why}")
         self.threads = sum(usable.values())
         return list(usable)
 
     def _threads_of_workers(self) -> dict[str, int]:
-        """Return the number of threads of each worker by address. Raises HapticdError if the scheduler is gone."""
+        """Return the number of threads of each worker by address. Raises HapticdError if the scheduler has ended."""
         try:
             found: dict[str, int] = self.client.nthreads()
         except (OSError, TimeoutError) as error:
@@ -187,7 +187,7 @@ class _Engine:
         return found
 
     def check_versions(self) -> None:
-        """Exclude workers with another code version of hapticd. Workers that join later check theirs in a task."""
+        """Exclude workers with another code version of hapticd. Workers that join later are checked in their tasks."""
         for address, answer in self.client.run(code_version, on_error="return").items():
             if isinstance(answer, OSError):
                 continue  # the worker has ended

@@ -36,11 +36,7 @@ class _Figure:
     """Checks one figure against the columns and varied values of the study."""
 
     def __init__(
-        self,
-        figure: SweepFigure,
-        columns: Mapping[str, Column],
-        values: Mapping[str, Sequence[Value]],
-        crossed: bool,
+        self, figure: SweepFigure, columns: Mapping[str, Column], values: Mapping[str, Sequence[Value]], crossed: bool
     ) -> None:
         self._figure, self._columns, self._values, self._crossed = figure, columns, values, crossed
 

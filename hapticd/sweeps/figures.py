@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _MATPLOTLIB_STYLE: Final = {"font.size": 9, "axes.titlesize": 9, "axes.linewidth": 0.6, "legend.fontsize": 8}
 """Settings of matplotlib for all figures; sizes are in points."""
 _MAX_NAME_CHARACTERS: Final = 60
-"""Maximum length in characters of the part of a file name that is made of the title."""
+"""Length in characters at which a title is cut in the name of its figure's file."""
 
 
 @dataclass(frozen=True)

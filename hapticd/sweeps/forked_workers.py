@@ -25,7 +25,8 @@ Dask also sets MALLOC_TRIM_THRESHOLD_, which is not set here: it causes a thousa
 def start_fork_server() -> None:
     """Start the fork server if it is not running. The server imports its modules while this process continues.
 
-    Ctrl-C sends SIGINT to this process, server and workers. Server and workers block SIGINT: this process ends them.
+    Ctrl-C sends SIGINT to this process, the server and the workers. Server and workers block SIGINT, since this process
+    ends them.
     """
     for name in _ONE_THREAD_VARIABLES:
         os.environ.setdefault(name, "1")

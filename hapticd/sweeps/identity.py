@@ -1,9 +1,9 @@
-"""The identity of a point: 16 bytes, which are equal for two points, even of two studies, if their results must be so.
+"""The identity of a point: 16 bytes, equal for points whose results must be equal, even in different studies.
 
-It is the hash of a document, which is JSON data with everything that the result depends on. A leaf of a document is a
-path with the scalar at this path. Its hash is the BLAKE2b hash of path and value, as two integers modulo 2**64. The
-hash of a document is the sum of the hashes of its leaves, so that only leaves that differ between points are hashed for
-each point. (Incremental hashing by sums: Bellare and Micciancio 1997. It does not protect against attacks.)
+The identity is the hash of a document: JSON data with everything that the result depends on. A leaf of a document is a
+path with the scalar at this path. The hash of a leaf is the BLAKE2b hash of path and value, as two integers modulo
+2**64. The hash of a document is the sum of the hashes of its leaves. So only leaves that differ between points are
+hashed for each point. (Incremental hashing by sums: Bellare and Micciancio 1997. It does not protect against attacks.)
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _MAX_EXACT_INTEGER: Final = 2**53
 
 
 def sum_of(data: Json, path: Path = ()) -> Sums:
-    """Return the sum of the hashes of all leaves of a document below `path`, (2,).
+    """Return the hash, (2,), of the part `data` of a document at `path`: the sum of the hashes of its leaves.
 
-    `data` is the part of the document at `path`. An empty mapping has no leaves, an empty list is a leaf.
+    Leaves are scalars and empty lists; an empty mapping has no leaves.
     """
     total = np.zeros(2, np.uint64)
     pending: list[tuple[Path, Json]] = [(path, data)]
@@ -44,7 +44,7 @@ def sum_of(data: Json, path: Path = ()) -> Sums:
 
 
 def sums_at(path: Path, values: Iterable[Json]) -> Sums:
-    """Return the hash of a leaf at `path` for each of n scalars, (n, 2)."""
+    """Return for each of n scalars the hash of `path` with this scalar, (n, 2)."""
     prefix = blake2b(_path_bytes(path), digest_size=16)
     found = bytearray()
     for value in values:

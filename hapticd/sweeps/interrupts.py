@@ -17,8 +17,8 @@ _ENDING_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 def noted_interrupts(note: Callable[[int], object]) -> Iterator[None]:
     """Replace the handlers of SIGINT and SIGTERM by `note`, which gets the signal number, while the context is active.
 
-    Signals that the process ignores, for example under nohup, stay ignored. In a thread other than the main one, which
-    cannot set handlers, nothing changes.
+    Signals that the process ignores, for example under nohup, stay ignored. Only the main thread can set handlers; in
+    other threads nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -41,7 +41,7 @@ def noted_interrupts(note: Callable[[int], object]) -> Iterator[None]:
 
 @contextmanager
 def deferred_interrupts() -> Iterator[None]:
-    """Defer SIGINT and SIGTERM that arrive within this context manager to its end."""
+    """Defer SIGINT and SIGTERM to the end of the context."""
     arrived: list[int] = []
     try:
         with noted_interrupts(arrived.append):

@@ -13,6 +13,7 @@ from hapticd.analysis.drawing import literal
 from hapticd.sweeps.axis_scales import Scale, key_scale, measured_scale
 from hapticd.sweeps.columns import Row, Value
 from hapticd.sweeps.figure_keys import SweepFigure
+from hapticd.sweeps.refine import BOUNDARY_COLUMN, BOUNDARY_FAILS_COLUMN, BOUNDARY_STATE_COLUMN
 from hapticd.sweeps.results import Results, with_values
 
 if TYPE_CHECKING:
@@ -20,20 +21,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NO_RESULT_LABEL: Final = "no result"
-"""Label in the legend of points without a result."""
-BOUNDARY_COLUMN: Final = "boundary"
-"""Column with the last value at which the condition of `refine` holds."""
-BOUNDARY_FAILS_COLUMN: Final = "boundary_fails"
-"""Column with the first value at which the condition of `refine` fails."""
-BOUNDARY_STATE_COLUMN: Final = "boundary_state"
-"""Column that states whether the boundary was found."""
+"""Label of points without a result in a legend."""
 BOUNDARY_STATE_MARKERS: Final = {
     "always": ("^", "holds to the end of the search"),
     "never": ("v", "does not hold at the start of the search"),
 }
-"""Marker and label for a boundary that was not found, by its state; the marker is at the last value that was tried."""
+"""Marker and label of a boundary that was not found, by its state. The marker is at the last tried value."""
 _MAX_DOTS: Final = 40
-"""A line with at most 40 points has a dot at each point."""
+"""A line has dots if it has at most 40 points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +101,8 @@ def _lines(results: Results, keys: SweepFigure, rows: Sequence[Row]) -> list[_Li
     scale = key_scale(results, keys.by)
     found = []
     for value in results.values(keys.by):
-        own = [row for row in rows if row[keys.by] == value]
-        label = scale.text(value, with_unit=False)
-        found.append(_Line(label, keys.y[0], own))
+        of_value = [row for row in rows if row[keys.by] == value]
+        found.append(_Line(scale.text(value, with_unit=False), keys.y[0], of_value))
     return [line for line in found if line.rows]
 
 

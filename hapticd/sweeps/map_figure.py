@@ -26,27 +26,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PANELS_PER_ROW: Final = 4
-"""Largest number of panels in a row."""
+"""Maximum number of panels side by side."""
 _PANEL_INCHES: Final = (2.5, 2.3)
-"""Width and height of each of several panels, in inches."""
+"""Width and height of a panel in a map with several panels, in inches."""
 _ONE_PANEL_INCHES: Final = (5.4, 3.9)
 """Width and height of a single panel, in inches."""
 _MARGINS_INCHES: Final = (1.6, 1.3)
 """Width and height of the figure outside its panels, in inches."""
 _PANEL_PADDING_INCHES: Final = 0.1
-"""Horizontal padding of each panel, in inches: tick labels of neighbouring axes must not overlap."""
+"""Horizontal padding of a panel in inches, so that tick labels of neighbouring panels do not overlap."""
 MAX_MAP_TEXTS: Final = 8
-"""Maximum number of different texts in a map, which is the number of _TEXT_COLORS."""
+"""Maximum number of different texts in a map: the number of _TEXT_COLORS."""
 _TEXT_COLORS: Final = ("#4477aa", "#88ccee", "#ddaa33", "#cc4455", "#aa77aa", "#777777", "#228833", "#663333")
 """Colors of texts; people with a color vision deficiency can distinguish them, too."""
 _BOOLEAN_COLORS: Final = ("#cc6644", "#4477aa")
-"""Colors of no and yes."""
+"""Colors of false and true."""
 _MAX_INTEGER_COLORS: Final = 12
 """Integers that span at most 12 values have a separate color for each value."""
 _MAX_VECTOR_CELLS: Final = 5000
-"""A map with more cells or dots is drawn as one raster image in an SVG."""
+"""In SVG, a map with more cells or dots is drawn as a raster image."""
 _OVERLAY_TOLERANCE: Final = 1e-9
-"""Relative difference up to which two values of an overlay column at one x count as equal."""
+"""Relative difference up to which two values of an overlay at the same x count as equal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class _Colors:
         """Return the position of each value on the color map, (n,); NaN for None."""
         if self.scale is not None:
             numbers = self.scale.at(values)
-            # matplotlib omits infinite numbers; a finite one above the largest gets the color of the largest.
+            # matplotlib omits infinite numbers. A finite number above the largest gets the last color.
             return np.where(np.isposinf(numbers), self.largest + abs(self.largest) + 1.0, numbers)
         return np.array([math.nan if value is None else float(self.categories.index(value)) for value in values])
 

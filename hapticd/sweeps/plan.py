@@ -19,7 +19,7 @@ from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Kind, Row
 from hapticd.sweeps.identity import sum_of, sums_at
 from hapticd.sweeps.keys import Run, SweepStudy
 from hapticd.sweeps.point import DURATION_KEY, OPERATOR_KEY, PARAMETERS_KEY, Point
-from hapticd.sweeps.refine import boundary_columns, boundary_of, holds
+from hapticd.sweeps.refine import boundary_columns, boundary_of, boundary_row, holds
 from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
 
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from hapticd.sweeps.measures.measure import Measure
 
 _MATERIALS_KEY: Final = "materials"
-"""Key of the materials in a configuration. A value may be the name of a shipped material."""
+"""Key of the materials in a configuration; a material may be given by the name of a shipped one."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """The data that all points of a study share; a worker gets it with each piece."""
+    """The data that all points of a study share; a worker gets these data with each group of points."""
 
     study: SweepStudy
     root: Mapping[str, Json]
-    """The document of all points (see identity.py), before the varied keys are set in it."""
+    """The input data that all points share, before the varied keys are set."""
     run: Run
     names: tuple[str, ...]
     """Names of the axes, which are the varied keys or named levels."""
@@ -52,7 +52,7 @@ class Job:
         return document
 
     def settings(self, name: str, value: Value) -> Iterator[tuple[Path, Json]]:
-        """Yield path and value of each key in the document that the value `value` of the axis `name` sets."""
+        """Yield path and value of each key that the axis `name` sets at its value `value`."""
         for key, each in settings(self.study, name, value).items():
             yield path_of(key), each
 
@@ -110,13 +110,7 @@ class Job:
 
         boundary = boundary_of(refine, at)
         measured = known[refine.start if boundary.holds_at is None else boundary.holds_at]
-        return {
-            "boundary": boundary.holds_at,
-            "boundary_fails": boundary.fails_at,
-            "boundary_state": boundary.state,
-            "boundary_tried": boundary.tried,
-            **measured,
-        }
+        return boundary_row(boundary) | measured
 
 
 @dataclass(frozen=True)
@@ -145,7 +139,7 @@ class Plan:
     ids: npt.NDArray[np.void] = field(repr=False)
     """Identities of the points, (n,) ID_DTYPE."""
     places: npt.NDArray[np.int64] = field(repr=False)
-    """For each of n points, the index of the first combination of axis values that gives its document, (n,)."""
+    """For each of n points, the index of the first combination of axis values that has its input data, (n,)."""
     source: str | None = field(default=None, repr=False)
     """Text of the study's file; None if the study was not read from a file."""
 
@@ -167,7 +161,7 @@ class Plan:
         return Points(self.job, tuple(each.tobytes().hex() for each in self.ids[indices]), values)
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of study.json other than title and columns."""
+        """Return the members of study.json other than title, columns and versions."""
         study = self.job.study
         found: dict[str, Json] = {"kind": "sweep", "study": study.to_dict(), "seed": study.seed}
         return found if self.source is None else {**found, "source": self.source}
@@ -182,7 +176,7 @@ def _values_at(axis: Axis, places: npt.NDArray[np.int64]) -> Sequence[Value]:
 
 
 def plan(study: SweepStudy) -> Plan:
-    """Return the plan of a validated study. Combinations of values that give the same document are one point.
+    """Return the plan of a validated study. Combinations of values with the same input data are one point.
 
     Raises InvalidError, with paths of the study's keys. A fault of a single point is not raised: its row reports it.
     """
@@ -204,7 +198,7 @@ def plan(study: SweepStudy) -> Plan:
 
 
 def _shared_hash(job: Job) -> npt.NDArray[np.uint64]:
-    """Return the hash, (2,), of what results depend on besides the points' documents: measures, code and names."""
+    """Return the hash, (2,), of the data that all results depend on: measures, code version and names of columns."""
     from hapticd.sweeps.measures.registry import identity_of
 
     study = job.study
@@ -279,7 +273,7 @@ def _names_material(path: Path, values: Sequence[Value]) -> bool:
 
 
 def _are_independent(job: Job, axes: Sequence[Axis]) -> bool:
-    """Return whether no axis changes a key that another axis sets, so that the hashes of the axes may be added."""
+    """Return whether no axis changes a key that another axis sets. Then the hashes of the axes may be added."""
     paths = [_paths(job, axis) for axis in axes]
     for index, own in enumerate(paths):
         others = set().union(*(other for place, other in enumerate(paths) if place != index))

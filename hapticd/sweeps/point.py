@@ -96,26 +96,22 @@ class Point:
         if self.run_kind == "render":
             return render_run(self.config, self._positions())
         return simulate_run(
-            self.config,
-            self.waypoints,
-            self.duration_s,
-            interpolation=operator.interpolation,
-            check_stability=False,
+            self.config, self.waypoints, self.duration_s, interpolation=operator.interpolation, check_stability=False
         )
 
     def _positions(self) -> npt.NDArray[np.float64]:
-        """Return the reference position of the hand at each tick, (n, 2)."""
+        """Return the reference position of the hand at each of n ticks in m, (n, 2)."""
         duration_s = float(self.waypoints[-1, 0]) if self.duration_s is None else self.duration_s
         return self.hand_at(np.arange(max(1, round(duration_s * self.rate_hz))) / self.rate_hz)
 
     def hand_at(self, at_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the reference position of the hand at times (n,), shape (n, 2). Raises InvalidError, HapticdError."""
+        """Return the hand's reference positions in m, (n, 2), at n times in s. Raises InvalidError, HapticdError."""
         way = self.waypoints
         if self.operator is not None and self.operator.interpolation == "minimum_jerk":
             # 10 s^3 - 15 s^4 + 6 s^5 between two waypoints (Flash and Hogan 1985), as in the simulated hand.
             segment = np.clip(np.searchsorted(way[:, 0], at_s, side="right") - 1, 0, max(0, len(way) - 2))
             start, end = way[segment], way[np.minimum(segment + 1, len(way) - 1)]
-            lasting = np.maximum(end[:, 0] - start[:, 0], 1e-300)
-            part = np.clip((at_s - start[:, 0]) / lasting, 0.0, 1.0)[:, np.newaxis]
-            return start[:, 1:] + (end - start)[:, 1:] * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+            duration_s = np.maximum(end[:, 0] - start[:, 0], 1e-300)
+            s = np.clip((at_s - start[:, 0]) / duration_s, 0.0, 1.0)[:, np.newaxis]
+            return start[:, 1:] + (end - start)[:, 1:] * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         return np.column_stack([np.interp(at_s, way[:, 0], way[:, axis]) for axis in (1, 2)])

@@ -1,4 +1,4 @@
-"""The boundary of a condition along one key: a scan for the first value at which it is not met, then bisection."""
+"""The boundary of a condition along one key: a scan finds the first interval with a failure, bisection narrows it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,14 @@ from hapticd.sweeps.columns import Column, Row
 from hapticd.sweeps.keys import SweepCondition, SweepRefine
 
 BoundaryState: TypeAlias = Literal["found", "always", "never"]
+BOUNDARY_COLUMN: Final = "boundary"
+"""Column with the last value at which the condition of `refine` holds."""
+BOUNDARY_FAILS_COLUMN: Final = "boundary_fails"
+"""Column with the first value at which the condition of `refine` fails."""
+BOUNDARY_STATE_COLUMN: Final = "boundary_state"
+"""Column with a BoundaryState: whether the boundary was found."""
 MAX_BISECTIONS: Final = 200
-"""Maximum number of bisections, even if the interval is still wider than `within`."""
+"""Maximum number of bisections. The search then ends, even if the interval is wider than `within`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +39,17 @@ class Boundary:
 def boundary_columns(refine: SweepRefine, unit: str) -> tuple[Column, ...]:
     """Return the columns that a study with `refine` has in addition to its measures."""
     return (
-        Column("boundary", "number", "measured", unit, f"Last {refine.key} at which the condition holds."),
-        Column("boundary_fails", "number", "measured", unit, f"First {refine.key} at which it fails."),
-        Column("boundary_state", "text", "measured", "", "found, always (holds up to the end) or never."),
+        Column(BOUNDARY_COLUMN, "number", "measured", unit, f"Last {refine.key} at which the condition holds."),
+        Column(BOUNDARY_FAILS_COLUMN, "number", "measured", unit, f"First {refine.key} at which it fails."),
+        Column(BOUNDARY_STATE_COLUMN, "text", "measured", "", "found, always (holds up to the end) or never."),
         Column("boundary_tried", "integer", "measured", "", "Number of values that were tried."),
     )
+
+
+def boundary_row(found: Boundary) -> Row:
+    """Return the values of the columns of `boundary_columns`."""
+    names = (BOUNDARY_COLUMN, BOUNDARY_FAILS_COLUMN, BOUNDARY_STATE_COLUMN, "boundary_tried")
+    return dict(zip(names, (found.holds_at, found.fails_at, found.state, found.tried), strict=True))
 
 
 def holds(refine: SweepRefine, row: Row) -> bool:
@@ -46,7 +58,7 @@ def holds(refine: SweepRefine, row: Row) -> bool:
     column = condition.column if isinstance(condition, SweepCondition) else condition
     value = row[column]
     if value is None or isinstance(value, str):
-        raise HapticdError(f"refine.holds cannot be evaluated: {column} has no value here")
+        raise HapticdError(f"refine.holds cannot be evaluated: {column} has no value at this point")
     if isinstance(condition, str):
         return bool(value)
     if condition.at_most is not None and not value <= condition.at_most:
@@ -57,8 +69,8 @@ def holds(refine: SweepRefine, row: Row) -> bool:
 def boundary_of(refine: SweepRefine, at: Callable[[float], bool]) -> Boundary:
     """Search from `start` to `end` for the boundary of a condition; `at(value)` returns whether the condition holds.
 
-    First, the ends of `scan` intervals between `start` and `end` are tried in order. The interval in which the
-    condition first fails is then bisected until it is narrower than `within`, or its ends are neighbouring floats.
+    First, the ends of `scan` intervals from `start` to `end` are tried in order. The first interval at whose end the
+    condition fails is then bisected, until it is narrower than `within` or its ends are neighbouring floats.
     """
     tried = 1
     if not at(refine.start):

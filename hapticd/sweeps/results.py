@@ -15,6 +15,7 @@ from hapticd.config.schema import unit_suffix_of
 from hapticd.sweeps.axes import axes_of, shown_value
 from hapticd.sweeps.columns import Column, Row, Value
 from hapticd.sweeps.keys import SweepStudy
+from hapticd.sweeps.refine import BOUNDARY_COLUMN
 from hapticd.sweeps.store import STUDY_FILE, Store
 
 
@@ -44,7 +45,7 @@ class Results:
     def _words(self) -> dict[str, str]:
         refine, labels = self.study.refine, dict(self.study.labels)
         if refine is not None:
-            labels.setdefault("boundary", f"{_plain(refine.key.rpartition('.')[2])} at the boundary")
+            labels.setdefault(BOUNDARY_COLUMN, f"{_plain(refine.key.rpartition('.')[2])} at the boundary")
         return words_of(self.columns, labels)
 
     def words(self, name: str) -> str:
@@ -71,22 +72,19 @@ class Results:
 
 
 def words_of(columns: Sequence[Column], labels: Mapping[str, str]) -> dict[str, str]:
-    """Return the label of each column: the study's label, or else the last part of the dotted name without the unit.
+    """Return the label of each column: that of `labels`, otherwise the last part of its dotted name without the unit.
 
     Preceding parts of the name are added until the label is unique.
     """
     parts = {column.name: [_plain(part) for part in column.name.split(".")] for column in columns}
     found: dict[str, str] = {}
     for name, own in parts.items():
-        most = next(
-            (
-                count
-                for count in range(1, len(own))
-                if sum(other[-count:] == own[-count:] for other in parts.values()) == 1
-            ),
-            len(own),
+        unique = (
+            count
+            for count in range(1, len(own))
+            if sum(other[-count:] == own[-count:] for other in parts.values()) == 1
         )
-        found[name] = labels.get(name, " ".join(own[-most:]))
+        found[name] = labels.get(name, " ".join(own[-next(unique, len(own)) :]))
     return found
 
 
@@ -133,7 +131,7 @@ def with_values(rows: Sequence[Row], where: Mapping[str, Value]) -> list[Row]:
 def best_of(rows: Sequence[Row], better: Mapping[str, str]) -> list[Row]:
     """Return the Pareto-optimal rows: no other row is as good in all columns of `better`, and better in at least one.
 
-    `better` has `least` or `most` for each column. Rows without a value in one of these columns are left out.
+    For each column, `better` says whether the `least` or the `most` is best. Rows without a value there are left out.
     """
     known = [row for row in rows if all(row[name] is not None for name in better)]
     if not known:

@@ -35,15 +35,15 @@ from hapticd.sweeps.worker_check import code_version
 STUDY_FILE: Final = "study.json"
 """Name of the file with the study in a result folder."""
 POINTS_FILE: Final = "points.npy"
-"""Name of the file with the identities in a result folder."""
+"""Name of the file with the identities of points in a result folder."""
 PIECES_FOLDER: Final = "pieces"
 """Name of the subfolder with the rows in a result folder."""
 _ROWS_IN_MEMORY: Final = 500
-"""Number of rows that are converted to Python objects at a time."""
+"""Maximum number of rows that are Python objects at the same time."""
 _PARTIAL_PIECE: Final = re.compile(r"\.[0-9a-f]{32}\.parquet\.\d+\.[0-9a-f]{16}\.part")
-"""Name of a temporary file, which a killed process may leave behind."""
+"""Pattern of the name of a temporary file that a killed process may leave behind."""
 _POINT_ID: Final = re.compile(r"[0-9a-f]{32}")
-"""The identity of a point as text."""
+"""Pattern of the identity of a point as text: 32 hexadecimal digits."""
 
 
 def require_pyarrow() -> None:
@@ -58,7 +58,7 @@ class Store:
     """A folder with the results of a study: study.json, identities of points, and rows."""
 
     def __init__(self, folder: Path, note: Callable[[str], None]) -> None:
-        """Open a folder; `note` gets a line of text if a file of rows cannot be read, or the folder not be locked."""
+        """Open a folder; `note` gets a line of text if a file of rows cannot be read or the folder cannot be locked."""
         require_pyarrow()
         self._folder = folder
         self._note = note
@@ -149,7 +149,7 @@ class Store:
         return np.frombuffer(found.tobytes(), ID_DTYPE)
 
     def present(self, columns: Sequence[Column], again: bool = False) -> npt.NDArray[np.void]:
-        """Return the identities of the rows of the folder that have these columns, (m,) ID_DTYPE.
+        """Return the identities of the points whose rows are in the folder with these columns, (m,) ID_DTYPE.
 
         With `again`, rows with an error are left out.
         """
@@ -190,7 +190,7 @@ class Store:
         return pyarrow.Table.from_pylist([rows[point] for point in sorted(rows)], schema=schema)
 
     def digest(self) -> str:
-        """Return the SHA-256 of the columns' names, types and values, however the rows are divided among files."""
+        """Return the SHA-256 of names, types and values of all columns, independent of the division into files."""
         table = self.table()
         digest = sha256()
         for name in table.column_names:

@@ -30,7 +30,7 @@ from hapticd.sweeps.point import NON_CONFIG_KEYS, OPERATOR_KEY, PARAMETERS_KEY
 _BASE_KEY: Final = "base"
 """Key of the base configuration in a study."""
 _MAX_CHECKED_VALUES: Final = 200
-"""Only the first 200 values of an axis are validated before the study begins, others when their points are computed."""
+"""Only the first 200 values of an axis are validated before the study begins; the others when they are used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,7 @@ def _measure_faults(study: SweepStudy) -> list[tuple[Path, str]]:
 
 
 def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
-    """Return a fault for each varied key, and for `refine.key`, if neither a configuration nor a study has this key."""
+    """Return a fault for each varied key that no configuration or study has; `refine.key` is checked, too."""
     faults: list[tuple[Path, str]] = []
     keys: list[tuple[Path, str]] = []
     for name, axis in study.vary.items():
@@ -221,7 +221,7 @@ def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
 
 
 def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
-    """Return the faults of the values of axes that are invalid in the configuration.
+    """Return the faults of axis values that make the configuration invalid.
 
     Each value of an axis is checked together with the first value of every other axis.
     """

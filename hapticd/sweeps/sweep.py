@@ -35,8 +35,8 @@ def sweep(
         client: A `distributed.Client`. By default one with local processes is started for this call.
         folder: Folder for the results; points with rows in it are not computed again.
         workers: Number of local processes, by default the number of processors.
-        threads: Use threads of this process instead of processes. Processes are spawned, so a script must make this
-            call below `if __name__ == "__main__":`.
+        threads: Use threads of this process instead of processes. Processes import the script, which therefore must
+            make this call below `if __name__ == "__main__":`.
 
     The columns are `point`, the varied keys, the measured columns, and `error`, the reason why a point has no result.
     Rows are sorted by the varied keys. Raises InvalidError for an invalid study, HapticdError if it cannot be run.

@@ -1,8 +1,7 @@
-"""The function that a worker runs on a piece, which it gets as pickled bytes.
+"""The function that a worker runs on a piece (a group of points), which the worker gets as pickled bytes.
 
 Dask ends a worker that cannot unpickle its task, and may then lose pieces of other workers. So the function is sent as
-code that needs no hapticd, which every worker can unpickle. A worker without hapticd, or with another version, returns
-a refusal.
+code, which every worker can unpickle. A worker without hapticd, or with another version, returns a refusal.
 """
 
 from __future__ import annotations

@@ -11,11 +11,11 @@ from hapticd.base.yaml_source import Json
 from hapticd.sweeps.columns import Column, Row
 
 ID_DTYPE: Final = np.dtype("V16")
-"""Identity of a point: a hash of 16 bytes of everything on which its result depends."""
+"""Data type of the identity of a point: a hash of 16 bytes of everything that the point's result depends on."""
 
 
 class Piece(Protocol):
-    """Some points of a study with all data that computing them needs; it is pickled and sent to a worker."""
+    """A group of points with all data that their computation needs. Pieces are pickled and sent to workers."""
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -46,4 +46,4 @@ class Work(Protocol):
         """Return the points whose indices in `ids` are `indices`."""
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of the file study.json besides title and columns: at least `kind`, `study` and `seed`."""
+        """Return further members of study.json (see `sweeps/store.py`): at least `kind`, `study` and `seed`."""

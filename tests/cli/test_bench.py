@@ -1,4 +1,4 @@
-"""`hapticd bench`: what it lists, and what it says where there are no benchmarks."""
+"""`hapticd bench`: the list of benchmarks, and errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hapticd.cli import machine
 from tests.support.special_files import KINDS, special
 
 
-def test_the_command_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_lists_all_benchmarks(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bench", "--list"]) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in bench.MEASUREMENTS)
@@ -20,7 +20,7 @@ def test_the_command_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> 
     assert "unknown benchmark nothing; known: loops," in capsys.readouterr().err
 
 
-def test_an_installed_hapticd_says_where_the_benchmarks_are(
+def test_an_installed_hapticd_reports_that_benchmarks_need_a_source_tree(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(machine, "SOURCE_TREE", tmp_path)
@@ -32,16 +32,16 @@ def test_an_installed_hapticd_says_where_the_benchmarks_are(
 
 def test_quick_figures_do_not_replace_those_of_docs(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bench", "tick", "--quick", "--overwrite"]) == 1
-    told = "hapticd: --quick measures too little for docs: give another folder with --out, or no --overwrite\n"
-    assert capsys.readouterr().err == told
+    message = "hapticd: --quick measures too little for docs: give another folder with --out, or no --overwrite\n"
+    assert capsys.readouterr().err == message
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("overwrite", [[], ["--overwrite"]])
-def test_a_page_goes_to_a_file_alone(
+def test_a_page_is_written_only_to_a_regular_file(
     kind: str, overwrite: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(bench, "_measure", lambda *_: pytest.fail("it would measure first"))
-    told = special(tmp_path / bench.ACCURACY, kind)
+    monkeypatch.setattr(bench, "_measure", lambda *_: pytest.fail("a measurement before the check"))
+    message = special(tmp_path / bench.ACCURACY, kind)
     assert cli.main(["bench", "loops", "--quick", "--out", str(tmp_path), *overwrite]) == 1
-    assert capsys.readouterr().err == f"hapticd: {told}\n"
+    assert capsys.readouterr().err == f"hapticd: {message}\n"

@@ -1,4 +1,4 @@
-"""`hapticd calibrate` and `hapticd verify` as a user runs them, the simulated joystick and a device that stands in."""
+"""`hapticd calibrate` and `hapticd verify` with the simulated joystick and with a simulated HID device."""
 
 from __future__ import annotations
 
@@ -39,30 +39,30 @@ def test_calibrate_writes_the_section(capsys: pytest.CaptureFixture[str]) -> Non
     assert main(arguments) == 0
     out = capsys.readouterr().out
     assert "handle mass" in out and "grip stiffness" in out and "95 % bounds" in out
-    assert "device:" not in out  # which stands in the file
+    assert "device:" not in out  # the section is in the file
     assert Path("response.png").read_bytes().startswith(b"\x89PNG")
     device = load_config(["sim.yaml", "found.yaml"]).device
     assert device.handle is not None and device.grip is not None
     assert device.handle.mass_kg == pytest.approx(0.04, rel=0.02)
-    assert device.rearm_m == pytest.approx(2e-5)  # the encoder's step: it has no noise
+    assert device.rearm_m == pytest.approx(2e-5)  # the encoder step, as the encoder has no noise
     assert device.handle.friction_n == pytest.approx(0.05, rel=0.02)
     assert device.grip.stiffness_n_per_m == pytest.approx(300, rel=0.05)
-    # Nothing is replaced unless that is said.
+    # Existing files are replaced only with --overwrite.
     error = said(capsys, 1, "calibrate", "-c", "sim.yaml", "-o", "found.yaml")
     assert error.startswith("hapticd: found.yaml: already exists; give another name, or --overwrite")
     assert "response.png: already exists" in said(capsys, 1, "calibrate", "--plot", "response.png")
 
 
 @pytest.mark.slow
-def test_calibrate_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_calibrate_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
     Path("old.yaml").write_text("old")
     assert main(["calibrate", "-c", "sim.yaml", "--json", "-o", "old.yaml", "--overwrite", "--axis", "y"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    mass = told["estimates"]["handle_mass"]
+    result = json.loads(capsys.readouterr().out)
+    mass = result["estimates"]["handle_mass"]
     assert mass["low"] <= mass["value"] <= mass["high"]
-    assert told["axis"] == "y"
-    assert told["device"]["handle"]["mass_kg"] == pytest.approx(mass["value"], rel=1e-3)
-    assert {point["by"] for point in told["response"]["held"]} == {"encoder"}
+    assert result["axis"] == "y"
+    assert result["device"]["handle"]["mass_kg"] == pytest.approx(mass["value"], rel=1e-3)
+    assert {point["by"] for point in result["response"]["held"]} == {"encoder"}
     assert load_config("old.yaml").device.handle is not None
 
 
@@ -70,7 +70,7 @@ def test_calibrate_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     ("missing", "what", "arguments"),
     [("matplotlib", "a plot", ("--plot", "response.png")), ("scipy", "calibrating", ())],
 )
-def test_calibrate_without_what_the_extra_brings(
+def test_calibrate_without_an_optional_package(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     missing: str,
@@ -89,13 +89,10 @@ def test_calibrate_without_what_the_extra_brings(
         ("time_s,acceleration_m_per_s2\n0,1\n1\n", "line 3 must have 2 columns, has 1"),
         ("time_s,a\n" + "0,1\n" * 20, "has no column 'acceleration_m_per_s2'; known: time_s, a"),
         ("time_s,acceleration_m_per_s2\n" + "0,1\n" * 20, "time_s must rise"),
-        (
-            "time_s,acceleration_m_per_s2\n0,1\n1,x\n",
-            'line 3 must hold numbers, holds "x" (a missing sample?)',
-        ),
+        ("time_s,acceleration_m_per_s2\n0,1\n1,x\n", 'line 3 must hold numbers, holds "x" (a missing sample?)'),
     ],
 )
-def test_recordings_that_are_none(capsys: pytest.CaptureFixture[str], content: str | None, problem: str) -> None:
+def test_faulty_recordings_are_refused(capsys: pytest.CaptureFixture[str], content: str | None, problem: str) -> None:
     if content is not None:
         Path("felt.csv").write_text(content)
     assert said(capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.csv") == f"hapticd: felt.csv: {problem}\n"
@@ -123,7 +120,7 @@ def _array_alone(path: Path) -> None:
         ),
     ],
 )
-def test_archives_that_are_none(
+def test_faulty_archives_are_refused(
     capsys: pytest.CaptureFixture[str], write: Callable[[Path], object], problem: str
 ) -> None:
     write(Path("felt.npz"))
@@ -132,7 +129,7 @@ def test_archives_that_are_none(
 
 
 def test_a_table_of_a_spreadsheet_is_read() -> None:
-    """With a byte order mark, and empty lines at its end."""
+    """The table has a byte order mark, and empty lines at its end."""
     lines = "".join(f"{time / 8},{time % 3}\r\n" for time in range(24))
     Path("felt.csv").write_bytes(b"\xef\xbb\xbf" + b"time_s,acceleration_m_per_s2\r\n" + lines.encode() + b"\r\n\r\n")
     recording = load_recording("felt.csv")
@@ -145,7 +142,7 @@ def test_a_table_of_a_spreadsheet_is_read() -> None:
     "arguments",
     [("verify", "--speed"), ("verify", "--scale"), ("calibrate", "--force-n"), ("play", "wood", "--amplitude")],
 )
-def test_numbers_that_are_none_are_refused(
+def test_nan_and_infinity_are_refused(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], number: str
 ) -> None:
     assert f"Invalid value for '{arguments[-1]}': {number} is not " in said(capsys, 2, *arguments, number)
@@ -160,7 +157,7 @@ def test_numbers_that_are_none_are_refused(
         (("--accelerometer", "felt.wav"), "felt.wav: the name of a recording must end in .npz or .csv"),
     ],
 )
-def test_what_cannot_be_written_is_told_before_anything_moves(
+def test_an_output_that_cannot_be_written_is_refused_before_the_handle_moves(
     capsys: pytest.CaptureFixture[str], stick: FakePid, arguments: tuple[str, str], problem: str
 ) -> None:
     error = said(capsys, 1, "calibrate", "-c", "hid.yaml", "--yes", *arguments)
@@ -192,10 +189,10 @@ def test_verify(capsys: pytest.CaptureFixture[str]) -> None:
     table = capsys.readouterr().out
     assert "wood" in table and "silent" in table
     assert main(["verify", "-c", "sim.yaml", "--json"]) == 0
-    told = {(each["material"], each["use"]): each for each in json.loads(capsys.readouterr().out)}
-    assert told["steel", "tap"]["displayed_hz"] is None
-    assert 0 < told["cellophane", "rupture"]["error"] < 1
-    assert 0 < told["wood", "wall"]["error"] < 1
+    result = {(each["material"], each["use"]): each for each in json.loads(capsys.readouterr().out)}
+    assert result["steel", "tap"]["displayed_hz"] is None
+    assert 0 < result["cellophane", "rupture"]["error"] < 1
+    assert 0 < result["wood", "wall"]["error"] < 1
     np.savez("felt.npz", time_s=np.arange(100.0), acceleration_m_per_s2=np.random.default_rng(1).normal(size=100))
     assert "the drive was not found in the recording" in said(
         capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.npz"
@@ -207,7 +204,7 @@ def test_a_real_device_needs_a_recording(capsys: pytest.CaptureFixture[str]) -> 
     assert error == "hapticd: a real device needs an accelerometer on its handle: give --recording FILE\n"
 
 
-# ---- A device at its servo ---------------------------------------------------------------------------------------
+# ---- A device and its servo --------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -230,7 +227,7 @@ def pushed(stick: FakePid) -> list[str]:
     return [entry for entry in stick.log if entry.startswith("constant_force")]
 
 
-def test_a_stuck_handle_is_pushed_told_and_let_go(capsys: pytest.CaptureFixture[str], stick: FakePid) -> None:
+def test_a_stuck_handle_is_reported_and_released(capsys: pytest.CaptureFixture[str], stick: FakePid) -> None:
     error = said(capsys, 1, "calibrate", "-c", "hid.yaml", "--yes", "-o", "found.yaml")
     assert "the handle does not move under 0.8 N at 60 Hz" in error
     stick.wait(lambda: not stick.enabled)
@@ -239,7 +236,7 @@ def test_a_stuck_handle_is_pushed_told_and_let_go(capsys: pytest.CaptureFixture[
     assert not Path("found.yaml").exists()
 
 
-def test_ctrl_c_takes_the_force_away(
+def test_ctrl_c_sets_the_force_to_zero(
     capsys: pytest.CaptureFixture[str], stick: FakePid, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     strike = rig.ServoRig.strike
@@ -247,7 +244,7 @@ def test_ctrl_c_takes_the_force_away(
     stick.on_log = lambda _: shown.append(stick.force())
 
     def interrupted(self: rig.ServoRig, *arguments: Any) -> int:
-        """In the middle of the first burst after one that was felt."""
+        """Interrupt the first burst after a force was seen."""
         felt = any(force != (0.0, 0.0) for force in shown)
         tick = strike(self, *arguments)
         if felt:
@@ -262,7 +259,7 @@ def test_ctrl_c_takes_the_force_away(
     assert stick.force() == (0.0, 0.0)
 
 
-def test_nothing_moves_before_it_is_said(
+def test_nothing_moves_before_the_confirmation(
     capsys: pytest.CaptureFixture[str], stick: FakePid, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("click.confirm", _refuse)

@@ -1,4 +1,4 @@
-"""`devices claim` and `release`, and what is said of devices whose resets nobody sees."""
+"""`devices claim` and `release`, and the warning for devices whose resets are not noticed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.support.hid_tree import Kernel
 STICK = "0003:2341:8036.0007"
 PAD = "0003:045E:02FD.0008"
 SILENT = Joystick(without=frozenset({0x92}))
-"""It has no PID State."""
+"""A joystick without PID State, which does not report which effects play."""
 
 
 @pytest.fixture
@@ -31,8 +31,8 @@ def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Kernel:
 
 def said(kernel: Kernel, capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
     code = main(["devices", *words])
-    told = capsys.readouterr()
-    return code, (told.out + told.err).replace(str(kernel.root), "").strip()
+    captured = capsys.readouterr()
+    return code, (captured.out + captured.err).replace(str(kernel.root), "").strip()
 
 
 def test_the_only_one_that_can_be_driven_is_claimed_and_released(
@@ -58,18 +58,20 @@ def test_as_json_and_by_name(kernel: Kernel, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.parametrize("what", ["claim", "release"])
-def test_a_device_that_is_not_there(kernel: Kernel, capsys: pytest.CaptureFixture[str], what: str) -> None:
+def test_an_unknown_device_is_refused(kernel: Kernel, capsys: pytest.CaptureFixture[str], what: str) -> None:
     code, text = said(kernel, capsys, what, "1209:0001")
     assert code == 1 and text.startswith('hapticd: no HID device "1209:0001"; connected: ') and "\n" not in text
 
 
-def test_one_of_several_has_to_be_named(kernel: Kernel, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_of_several_devices_must_be_named(kernel: Kernel, capsys: pytest.CaptureFixture[str]) -> None:
     kernel.plug("0003:FFFF:2055.0009")
     code, text = said(kernel, capsys, "claim")
     assert code == 1 and text.startswith("hapticd: 2 devices can be driven; name one by its path: /dev/hidraw5 (Stick")
 
 
-def test_the_list_says_what_nobody_sees_and_what_to_do(kernel: Kernel, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_warns_of_unseen_resets_and_names_the_remedy(
+    kernel: Kernel, capsys: pytest.CaptureFixture[str]
+) -> None:
     condition = "    /dev/hidraw5 does not report which of its effects play: a reset by another program is not noticed"
     action = "    `hapticd devices claim /dev/hidraw5` keeps other programs off"
     lines = said(kernel, capsys)[1].splitlines()
@@ -83,10 +85,10 @@ def test_the_list_says_what_nobody_sees_and_what_to_do(kernel: Kernel, capsys: p
     ]
 
 
-def test_the_status_says_what_nobody_sees_how_long_it_lasts_and_what_to_do() -> None:
-    told = dict.fromkeys(("name", "problem", "link_hz", "report_hz", "force_hz", "states", "resets"))
-    told |= {"path": "/dev/hidraw3", "state": "connected", "resets_seen": False, "foreign_effect_s": 0.0954}
-    assert list(status._connection(told))[1:] == [
+def test_the_status_warns_of_unseen_resets_with_duration_and_remedy() -> None:
+    connection = dict.fromkeys(("name", "problem", "link_hz", "report_hz", "force_hz", "states", "resets"))
+    connection |= {"path": "/dev/hidraw3", "state": "connected", "resets_seen": False, "foreign_effect_s": 0.0954}
+    assert list(status._connection(connection))[1:] == [
         (
             "unseen",
             "/dev/hidraw3 does not report which of its effects play: a reset by another program is not noticed; "
@@ -95,4 +97,4 @@ def test_the_status_says_what_nobody_sees_how_long_it_lasts_and_what_to_do() -> 
         ("", "`hapticd devices claim /dev/hidraw3` keeps other programs off"),
     ]
     for seen in (True, None):
-        assert len(list(status._connection(told | {"resets_seen": seen}))) == 1
+        assert len(list(status._connection(connection | {"resets_seen": seen}))) == 1

@@ -1,4 +1,4 @@
-"""The command line without a daemon: what it understands, and how it says what it does not."""
+"""The command line without a daemon: commands, help, usage errors and lost output."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["xyzzy"], "No such command 'xyzzy'. (see hapticd --help)"),
         (["xtatus"], "No such command 'xtatus'. Did you mean 'status'? (see hapticd --help)"),
@@ -134,9 +134,9 @@ def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str]
         (["scene", "set", "x", "--expect-revision", "-1"], "x>=0"),
     ],
 )
-def test_commands_that_are_not_understood(capsys: pytest.CaptureFixture[str], arguments: list[str], told: str) -> None:
+def test_usage_errors(capsys: pytest.CaptureFixture[str], arguments: list[str], message: str) -> None:
     line = said(capsys, 2, *arguments)
-    assert told in line and "--help)" in line
+    assert message in line and "--help)" in line
 
 
 def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureF
     ("arguments", "is_json"),
     [(["status", "--json"], True), (["status"], False), (["mark", "--", "--json"], False), (["--json", "x"], True)],
 )
-def test_an_error_is_json_where_the_line_asks_for_it(
+def test_an_error_is_json_with_the_option_json(
     capsys: pytest.CaptureFixture[str], arguments: list[str], is_json: bool
 ) -> None:
     assert main(arguments) != 0
@@ -224,7 +224,9 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "config.yaml", "--operator", "operator.yaml", "-o", "b.npz"]) == 0
     assert capsys.readouterr().out.startswith("b.npz: 1,000 ticks in 0.100 s, ")
     with np.load("a.npz") as first, np.load("b.npz") as second:
-        assert first["samples"].tobytes() == second["samples"].tobytes(), "the same run, however it is written"
+        assert first["samples"].tobytes() == second["samples"].tobytes(), (
+            "the same run from a scene and from a configuration"
+        )
         assert first["truth"].shape == (1000, 4)
         contact = first["events"][first["events"]["event"] == "contact"][0]
         assert contact["object"] == "floor"
@@ -263,7 +265,7 @@ def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize(
-    ("scene", "operator", "output", "told"),
+    ("scene", "operator", "output", "message"),
     [
         (SCENE.replace("wood", "woood"), WAYPOINTS, "x.npz", 'unknown material "woood"'),
         (
@@ -279,18 +281,18 @@ def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixt
         ("a: &x 1\nb: *x\n", WAYPOINTS, "x.npz", "scene.yaml:2:4: aliases are not allowed"),
     ],
 )
-def test_simulate_says_what_is_wrong(
-    capsys: pytest.CaptureFixture[str], scene: str, operator: str, output: str, told: str
+def test_simulate_reports_faulty_arguments(
+    capsys: pytest.CaptureFixture[str], scene: str, operator: str, output: str, message: str
 ) -> None:
     Path("scene.yaml").write_text(scene)
     Path("operator.yaml").write_text(operator)
-    assert told in said(capsys, 1, "simulate", "scene.yaml", "--operator", "operator.yaml", "-o", output)
+    assert message in said(capsys, 1, "simulate", "scene.yaml", "--operator", "operator.yaml", "-o", output)
     assert sorted(os.listdir()) == ["operator.yaml", "scene.yaml"]
 
 
 @contextmanager
 def nowhere(kind: str) -> Iterator[int]:
-    """What takes no output: a pipe that nobody reads, or a disk that is full."""
+    """Yield a descriptor to which writing fails: a closed pipe, or a full disk."""
     if kind == "full":
         descriptor = os.open("/dev/full", os.O_WRONLY)
     else:
@@ -303,13 +305,13 @@ def nowhere(kind: str) -> Iterator[int]:
 
 
 PRINTING = ["--help", "check --json", "check", "check --help", "--version", "schema"]
-"""A command for each way in which something is printed: by click, by rich, as JSON."""
+"""A command for each way of printing: by click, by rich, as JSON."""
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("command", rest_slow(PRINTING, fast=2))
 @pytest.mark.parametrize(("kind", "why"), [("pipe", "Broken pipe"), ("full", "No space left on device")])
-def test_output_that_nobody_takes_is_one_line(command: str, kind: str, why: str) -> None:
+def test_lost_output_is_reported_in_one_line(command: str, kind: str, why: str) -> None:
     words = [sys.executable, "-m", "hapticd", *command.split()]
     with nowhere(kind) as stdout:
         process = subprocess.run(words, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60)
@@ -323,7 +325,7 @@ def test_output_that_nobody_takes_is_one_line(command: str, kind: str, why: str)
 
 @pytest.mark.parametrize("kind", ["pipe", "full"])
 @pytest.mark.parametrize(("command", "code"), [("status", 1), ("nonsense", 2), ("status --help", 0)])
-def test_errors_that_nobody_takes_change_no_exit_code(kind: str, command: str, code: int) -> None:
+def test_lost_error_output_does_not_change_the_exit_code(kind: str, command: str, code: int) -> None:
     words = [sys.executable, "-m", "hapticd", *command.split()]
     with nowhere(kind) as stderr:
         process = subprocess.run(words, stdout=subprocess.PIPE, stderr=stderr, timeout=60)
@@ -332,14 +334,14 @@ def test_errors_that_nobody_takes_change_no_exit_code(kind: str, command: str, c
 
 @pytest.mark.long
 @pytest.mark.parametrize("command", ["schema", "status"])
-def test_nothing_that_can_be_written_to(command: str) -> None:
+def test_without_writable_streams_the_exit_code_is_1(command: str) -> None:
     words = [sys.executable, "-m", "hapticd", command]
     with nowhere("full") as stream:
         process = subprocess.run(words, stdout=stream, stderr=stream, timeout=60)
     assert process.returncode == 1
 
 
-def test_a_warning_that_nobody_takes_is_no_success() -> None:
+def test_a_lost_warning_is_a_failure() -> None:
     program = (
         "import click, hapticd.cli\n"
         "hapticd.cli.cli.add_command(click.Command('warn', callback=lambda: click.echo('x', err=True)))\n"

@@ -1,4 +1,4 @@
-"""`hapticd devices parse`: files that hold a report descriptor, and files that do not."""
+"""`hapticd devices parse`: files with a report descriptor, and other files."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
     file = tmp_path / "descriptor"
     file.write_bytes(content)
     assert main(["devices", "parse", str(file), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["usable"] is True and told["missing"] == []
-    field = told["input"]["y"]["field"]
+    parsed = json.loads(capsys.readouterr().out)
+    assert parsed["usable"] is True and parsed["missing"] == []
+    field = parsed["input"]["y"]["field"]
     assert {name: field[name] for name in ("report_id", "bit_offset", "bit_size", "logical_min")} == {
         "report_id": 1,
         "bit_offset": 16,
         "bit_size": 16,
         "logical_min": -32767,
     }
-    assert told["constant_force"]["report_bytes"] == 4
-    assert told["constant_force"]["magnitude"]["bit_offset"] == 8
-    assert told["device_control"]["command"]["kind"] == "array"
-    assert told["device_control"]["command"]["entries"]["stop_all_effects"]["value"] == 3
-    assert told["pool"]["simultaneous_effects_max"]["bit_offset"] == 16
+    assert parsed["constant_force"]["report_bytes"] == 4
+    assert parsed["constant_force"]["magnitude"]["bit_offset"] == 8
+    assert parsed["device_control"]["command"]["kind"] == "array"
+    assert parsed["device_control"]["command"]["entries"]["stop_all_effects"]["value"] == 3
+    assert parsed["pool"]["simultaneous_effects_max"]["bit_offset"] == 16
 
 
 def test_json_of_bits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,12 +56,10 @@ def test_json_of_bits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert control["command"]["entries"]["device_reset"]["field"]["bit_offset"] == 3
 
 
-def test_one_effect_for_both_axes_says_how_much_comes_out_across_a_force(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Half of one of 255 counts a turn is 1.2 % of a force; two effects, or 35999 counts, let nothing through."""
+def test_a_single_effect_reports_its_force_at_right_angles(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With 255 counts in a turn, half a count is 1.2 % of a force; two effects, or 35999 counts, have no such error."""
     file = tmp_path / "descriptor"
-    told = []
+    leaks = []
     for like in (
         Joystick(is_magnitude_signed=False),
         Joystick(is_magnitude_signed=False, direction_bits=16),
@@ -69,8 +67,8 @@ def test_one_effect_for_both_axes_says_how_much_comes_out_across_a_force(
     ):
         file.write_bytes(bytes(like))
         assert main(["devices", "parse", str(file)]) == 0
-        told.append("up to 1.2 % of a force acts at right angles to it" in capsys.readouterr().out)
-    assert told == [True, False, False]
+        leaks.append("up to 1.2 % of a force acts at right angles to it" in capsys.readouterr().out)
+    assert leaks == [True, False, False]
     assert main(["devices", "parse", str(file), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["leak"] == 0.0
 
@@ -86,27 +84,27 @@ def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "constant force: magnitude in output report 4, 16 bits at 8, -10000 to 10000" in lines
     file.write_bytes(bytes(Joystick(without=frozenset({0x73, 0x96}))))
     assert main(["devices", "parse", str(file)]) == 0
-    told = capsys.readouterr().out.splitlines()[0]
-    assert told == "cannot be driven: its report descriptor has no Set Constant Force, no Device Control"
+    line = capsys.readouterr().out.splitlines()[0]
+    assert line == "cannot be driven: its report descriptor has no Set Constant Force, no Device Control"
 
 
 @pytest.mark.parametrize(
-    ("like", "told"),
+    ("like", "message"),
     [
         (Joystick(force_axes=(0x30,), directions=1), "forces: along x only, by 1 effect"),
         (Joystick(is_magnitude_signed=False, direction_bits=16), "forces: along x and y, by 1 effect"),
     ],
 )
-def test_along_what_it_is_pushed_and_how(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], like: Joystick, told: str
+def test_the_pushed_axes_and_the_number_of_effects_are_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], like: Joystick, message: str
 ) -> None:
     file = tmp_path / "descriptor"
     file.write_bytes(bytes(like))
     assert main(["devices", "parse", str(file)]) == 0
-    assert told in capsys.readouterr().out.splitlines()
+    assert message in capsys.readouterr().out.splitlines()
 
 
-def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_skipped_items_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "descriptor"
     file.write_bytes(STICK[:6] + bytes([0x0D, 7]) + STICK[6:])
     assert main(["devices", "parse", str(file)]) == 0
@@ -114,12 +112,12 @@ def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert lines[0] == "can be driven"
     assert lines[-1] == "not used: report descriptor, byte 6 (reserved item): skipped"
     assert main(["devices", "parse", str(file), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["usable"] and told["problems"] == ["report descriptor, byte 6 (reserved item): skipped"]
+    parsed = json.loads(capsys.readouterr().out)
+    assert parsed["usable"] and parsed["problems"] == ["report descriptor, byte 6 (reserved item): skipped"]
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"", "the report descriptor is empty"),
         (STICK[:-1], "report descriptor: a collection is still open at its end"),
@@ -127,10 +125,10 @@ def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[s
         (b"a joystick\n", 'line 1: "a joystick": must be bytes in hexadecimal'),
     ],
 )
-def test_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, told: str) -> None:
+def test_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, message: str) -> None:
     file = tmp_path / "descriptor"
     file.write_bytes(content)
-    assert told in said(capsys, 1, "devices", "parse", str(file), "--json")
+    assert message in said(capsys, 1, "devices", "parse", str(file), "--json")
 
 
 def test_a_file_without_end(capsys: pytest.CaptureFixture[str]) -> None:

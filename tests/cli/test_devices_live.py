@@ -1,4 +1,4 @@
-"""`devices`, `devices dump` and `devices calibrate`, with devices that stand in for the machine's."""
+"""`devices`, `devices dump` and `devices calibrate` with simulated devices."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ def test_list(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 def test_a_descriptor_is_read_once_for_each_configuration(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, keys: dict[str, object], times: int
 ) -> None:
-    judged = []
+    configurations = []
 
     def noted(hid: Hid, descriptor: bytes) -> Verdict:
-        judged.append(hid)
+        configurations.append(hid)
         return verdict_of(hid, descriptor)
 
     monkeypatch.setattr(discovery, "verdict_of", noted)
@@ -69,7 +69,7 @@ def test_a_descriptor_is_read_once_for_each_configuration(
     config = tmp_path / "config.yaml"
     config.write_text(json.dumps({"device": {"kind": "hid", "hid": keys}}))
     assert main(["devices", "-c", str(config)]) == 0
-    assert len(judged) == times
+    assert len(configurations) == times
 
 
 def test_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -82,7 +82,7 @@ def test_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 
 def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     node = tmp_path / "hidraw0"
-    # A file is at its end after one read, as a device is that goes.
+    # A file ends after one read, as a device does that is unplugged.
     node.write_bytes(b"\x01\x00\x00\x05\x00\x00")
     here(monkeypatch, found(str(node)))
     out = tmp_path / "stick.jsonl"
@@ -127,18 +127,18 @@ def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     assert read.hid == Hid(vendor=0x1209, travel_m=0.04, force_axes=axes)
     assert stick.device.closed
     assert [item.name for item in tmp_path.iterdir() if item not in (config, out)] == []
-    # What was there stays, and no handle moves for a file that would not be written.
+    # Existing files are kept, and no handle moves if the file cannot be written.
     before = config.read_text()
     (tmp_path / "folder").mkdir()
-    monkeypatch.setattr(sources, "open_hid", lambda hid: pytest.fail("a handle would move"))
-    for place, told in (
+    monkeypatch.setattr(sources, "open_hid", lambda hid: pytest.fail("the handle moves"))
+    for place, message in (
         (tmp_path / "none" / "a.yaml", "cannot be written: the folder"),
         (tmp_path / "folder", "not a regular file but a directory"),
         (out, "already exists; give another name, or --overwrite"),
     ):
         assert main(["devices", "calibrate", "-c", str(config), "-o", str(place), "--yes"]) == 1
         seen = capsys.readouterr()
-        assert seen.out == "" and seen.err.startswith(f"hapticd: {place}: {told}")
+        assert seen.out == "" and seen.err.startswith(f"hapticd: {place}: {message}")
     assert sorted(item.name for item in tmp_path.iterdir()) == ["calibrated.yaml", "folder", "stick.yaml"]
     assert main(["devices", "calibrate", "-c", str(config), "-o", f"{tmp_path}/./stick.yaml", "--yes"]) == 2
     assert "is the configuration file; name another file" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`hapticd fit`: what goes in and comes out of it. The fits themselves are replaced by ones of the same shape."""
+"""`hapticd fit`: arguments, files and output. Most tests replace the fits by a fake of the same interface."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hapticd.config.texture import Autoregressive, Grooves
 from hapticd.fit.recording import Recording, load
 from hapticd.fit.report import Curve, Page, Panel, drawn, figure_rows, thinned
 from hapticd.fit.verdict import Exclusion, Verdict
-from tests.cli.test_cli import said
+from tests.support.cli import said
 
 JUDGED = Verdict("fair", "one mode, well fitted <&>", ("the first tap is weak",))
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -100,7 +100,7 @@ Progress = Callable[[Recording], None]
 
 
 class Fits:
-    """What was asked of the replaced fits."""
+    """Replaces the fits, and records their arguments."""
 
     def __init__(self) -> None:
         self.recordings: list[Sequence[Recording]] = []
@@ -140,16 +140,14 @@ def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
 
 
 @pytest.mark.parametrize("kind", ["tap", "grooves", "texture", "puncture"])
-def test_a_fit_becomes_a_material_that_the_loader_takes(
-    kind: str, fits: Fits, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fit_becomes_a_material_that_can_be_loaded(kind: str, fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", kind, "a.csv", "b.csv", "-o", "pine.yaml"]) == 0
     captured = capsys.readouterr()
     assert [recording.source.path for recording in fits.recordings[0]] == ["a.csv", "b.csv"]
     assert "one mode, well fitted" in captured.out
     assert "290 to 310" in captured.out
-    told = captured.err.splitlines()
-    assert told == [
+    notes = captured.err.splitlines()
+    assert notes == [
         "hapticd: the first tap is weak",
         "hapticd: the stiffness, 800 N/m, is assumed, not measured; --stiffness sets it",
     ]
@@ -161,14 +159,14 @@ def test_a_fit_becomes_a_material_that_the_loader_takes(
     hashes = {name: hashlib.sha256(Path(name).read_bytes()).hexdigest() for name in ("a.csv", "b.csv")}
     assert {file.path: file.sha256 for file in origin.files} == hashes
     assert origin.version == __version__
-    # A figure whose interval has no end, and one that is none, are left out.
+    # Values with an infinite interval, and missing values, are left out.
     assert origin.intervals == {f"{kind}.slope_per_s": (290.0, 310.0), f"{kind}.frequency_hz": (66.5, 67.5)}
 
 
-def test_what_is_printed_can_be_loaded(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_printed_material_can_be_loaded(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", "tap", "a.csv", "--name", "oak 2", "--stiffness", "1234"]) == 0
     captured = capsys.readouterr()
-    # The material alone: table and verdict are beside it.
+    # stdout has only the material: table and verdict are on stderr.
     assert captured.err.endswith("\nhapticd: the first tap is weak\n") and "290 to 310" in captured.err
     Path("seen.yaml").write_text(captured.out)
     assert load_config("seen.yaml").materials["oak 2"].stiffness_n_per_m == 1234
@@ -194,38 +192,35 @@ def test_a_tap_may_mean_its_peaks_or_be_a_table(fits: Fits, capsys: pytest.Captu
 
 
 def test_options_that_exclude_one_another(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
-    for options in (
-        ("--table", "--attack", "first_peak"),
-        ("--two-modes", "--attack", "first_peak"),
-    ):
+    for options in (("--table", "--attack", "first_peak"), ("--two-modes", "--attack", "first_peak")):
         assert "exclude each other" in said(capsys, 2, "fit", "tap", "a.csv", *options)
     assert "--merge needs -o" in said(capsys, 2, "fit", "tap", "a.csv", "--merge")
     assert fits.recordings == []
 
 
-def test_what_a_fit_offers_is_told_by_its_option(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
+def test_notes_name_the_options_of_a_fit(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     fits.answer = dataclasses.replace(FIT, linear=False, second=FakeSecond(Estimate(500.0, 499.0, 502.0)))
     assert main(["fit", "tap", "a.csv", "-o", "one.yaml"]) == 0
     captured = capsys.readouterr()
-    told = captured.err
+    notes = captured.err
     assert "second.frequency_hz" in captured.out and "499 to 502" in captured.out
     origin = load_config("one.yaml").materials["one"].provenance
     assert origin is not None and origin.intervals is not None
-    # The amplitudes are a table, as the taps have it: the slope is not in the material.
+    # The law of these taps is a table, so the material has no slope.
     assert set(origin.intervals) == {"tap.frequency_hz"}
-    assert "hapticd: --two-modes takes" in told
+    assert "hapticd: --two-modes takes" in notes
     assert main(["fit", "tap", "a.csv", "--law", "line", "-o", "line.yaml"]) == 0
     assert load_config("line.yaml").materials["line"].tap.attack_slope_per_s == 300.0  # type: ignore[union-attr]
     capsys.readouterr()
     assert main(["fit", "tap", "a.csv", "--table"]) == 0
-    told = capsys.readouterr().err
-    assert "--table" not in told and "hapticd: --two-modes takes" in told
+    notes = capsys.readouterr().err
+    assert "--table" not in notes and "hapticd: --two-modes takes" in notes
     assert main(["fit", "tap", "a.csv", "--two-modes", "-o", "x.yaml"]) == 0
     assert "--two-modes" not in capsys.readouterr().err
     material = load_config("x.yaml").materials["x"]
     assert material.tap is not None and material.tap.second is not None
     assert material.tap.second.ratio == 0.3
-    # The other intervals are of the fit of one mode.
+    # The other intervals belong to the fit of one mode.
     assert material.provenance is not None
     assert material.provenance.intervals == {"tap.second.frequency_hz": (499.0, 502.0)}
     assert main(["fit", "tap", "a.csv", "--two-modes", "--table", "-o", "xx.yaml"]) == 0
@@ -236,7 +231,7 @@ def test_what_a_fit_offers_is_told_by_its_option(fits: Fits, capsys: pytest.Capt
     assert said(capsys, 1, "fit", "tap", "a.csv", "--two-modes") == "hapticd: no second mode was found\n"
 
 
-def test_figures_have_as_many_digits_as_they_are_worth(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fitted_values_are_rounded(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     poles = [-1.2345678901234567, 0.5]
     models = [{"speed_m_per_s": 0.123456789, "force_n": 1.0, "coefficients": poles, "rms_m_per_s2": 1.0}]
     texture = {"kind": "autoregressive", "rate_hz": 2000.0, "models": models}
@@ -281,7 +276,7 @@ def test_fits_of_several_kinds_make_one_material(fits: Fits, capsys: pytest.Capt
     assert [file.path for file in pine.provenance.files] == ["a.csv", "b.csv"]
     assert {name.split(".")[0] for name in pine.provenance.intervals} == {"tap", "grooves"}
 
-    # A puncture measures the stiffness, a texture takes the place of the grooves, and their intervals go with them.
+    # A puncture measures the stiffness, and a texture replaces the grooves and their intervals.
     fits.answer = dataclasses.replace(other, found=(("stiffness_n_per_m", 600.0), ("rupture", rupture)))
     assert main(["fit", "puncture", "b.csv", "-o", "pine.yaml", "--merge"]) == 0
     assert "hapticd: stiffness_n_per_m of pine in pine.yaml is replaced\n" in capsys.readouterr().err
@@ -295,15 +290,15 @@ def test_fits_of_several_kinds_make_one_material(fits: Fits, capsys: pytest.Capt
     assert {name.split(".")[0] for name in pine.provenance.intervals} == {"tap", "puncture", "texture"}
     assert [file.path for file in pine.provenance.files] == ["b.csv", "a.csv"]
 
-    # Another name is another material of the same file.
+    # With another name the file gets another material.
     fits.answer = FIT
     assert main(["fit", "tap", "a.csv", "-o", "pine.yaml", "--merge", "--name", "oak"]) == 0
     assert {"pine", "oak"} <= set(load_config("pine.yaml").materials)
     assert load_config("pine.yaml").materials["pine"] == pine
 
 
-def test_a_file_that_is_no_library_is_not_added_to(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
-    for text, told in (
+def test_a_file_without_valid_materials_is_not_changed(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
+    for text, message in (
         ("materials: {}\nscene: {}\n", "must have the key materials only"),
         ("a: [", "x.yaml:"),
         (
@@ -312,28 +307,28 @@ def test_a_file_that_is_no_library_is_not_added_to(fits: Fits, capsys: pytest.Ca
         ),
     ):
         Path("x.yaml").write_text(text)
-        assert told in said(capsys, 1, "fit", "tap", "a.csv", "-o", "x.yaml", "--merge")
+        assert message in said(capsys, 1, "fit", "tap", "a.csv", "-o", "x.yaml", "--merge")
         assert Path("x.yaml").read_text() == text
     assert fits.recordings == []
     assert main(["fit", "tap", "a.csv", "-o", "new.yaml", "--merge"]) == 0
     assert load_config("new.yaml").materials["new"].tap is not None
 
 
-def test_for_programs(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_prints_json(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", "tap", "a.csv", "--json"]) == 0
 
     def refuse(constant: str) -> None:
         raise AssertionError(constant)
 
-    told = json.loads(capsys.readouterr().out, parse_constant=refuse)
-    assert told["kind"] == "tap"
-    assert told["fit"] == {
+    result = json.loads(capsys.readouterr().out, parse_constant=refuse)
+    assert result["kind"] == "tap"
+    assert result["fit"] == {
         "frequency_hz": {"value": 67.0, "low": 66.5, "high": 67.5},
         "r_squared": None,
         "taps": [1.0, None],
     }
-    assert validate_materials(told["materials"])["tap"].tap is not None
-    assert told["notes"] == ["the stiffness, 800 N/m, is assumed, not measured; --stiffness sets it"]
+    assert validate_materials(result["materials"])["tap"].tap is not None
+    assert result["notes"] == ["the stiffness, 800 N/m, is assumed, not measured; --stiffness sets it"]
 
 
 def test_texture_alone_has_autoregressive_models(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
@@ -344,7 +339,7 @@ def test_texture_alone_has_autoregressive_models(fits: Fits, capsys: pytest.Capt
     assert "No such option" in said(capsys, 2, "fit", "tap", "--ar", "a.csv")
 
 
-def test_what_cannot_be_done_is_told_in_one_line(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
+def test_impossible_fits_are_reported_in_one_line(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     assert "Missing argument" in said(capsys, 2, "fit", "tap")
     assert said(capsys, 1, "fit", "tap", "none.csv").startswith("hapticd: none.csv: cannot be read: ")
     assert said(capsys, 1, "fit", "tap", "a.csv", "-o", "b.csv").startswith("hapticd: b.csv: already exists")
@@ -362,16 +357,16 @@ def test_what_cannot_be_done_is_told_in_one_line(fits: Fits, capsys: pytest.Capt
     assert not Path("x.yaml").exists()
 
 
-def test_a_figure_that_no_material_may_have_is_refused(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_value_out_of_the_range_of_a_material_is_refused(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     fits.answer = FakeFit(Estimate(-3.0, -4.0, -2.0), FIT.frequency_hz, FIT.decay_time_s)
-    told = said(capsys, 1, "fit", "tap", "a.csv", "--json")
-    assert told == (
+    message = said(capsys, 1, "fit", "tap", "a.csv", "--json")
+    assert message == (
         "hapticd: materials.tap.tap.attack_slope_per_s: should be greater than or equal to 0, is -3.0: "
         "the fitted value is out of the range of a material\n"
     )
 
 
-def test_what_numpy_says_of_a_division_is_not_told(
+def test_warnings_of_numpy_are_not_printed(
     fits: Fits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Divided(FakeFit):
@@ -379,11 +374,11 @@ def test_what_numpy_says_of_a_division_is_not_told(
             return {"tap": {"attack_slope_per_s": float(np.float64(1.0) / np.float64(0.0)), **dict(self.found)}}
 
     fits.answer = Divided(FIT.slope_per_s, FIT.frequency_hz, FIT.decay_time_s)
-    told = said(capsys, 1, "fit", "tap", "a.csv")
-    assert told.startswith("hapticd: materials.tap.tap.attack_slope_per_s: should be")
+    message = said(capsys, 1, "fit", "tap", "a.csv")
+    assert message.startswith("hapticd: materials.tap.tap.attack_slope_per_s: should be")
 
 
-def test_names_that_are_no_text(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
+def test_file_names_that_are_not_utf8(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     name = os.fsdecode(b"caf\xe9 $x$.csv")
     Path(name).write_bytes(Path("a.csv").read_bytes())
     assert main(["fit", "tap", name, "-o", "x.yaml"]) == 0
@@ -392,12 +387,12 @@ def test_names_that_are_no_text(fits: Fits, capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize("missing", ["scipy", "pandas", "matplotlib"])
-def test_without_what_the_extra_brings(
+def test_without_an_optional_package(
     missing: str, fits: Fits, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
-    told = said(capsys, 1, "fit", "tap", "a.csv", "--report", "x.html")
-    assert f"needs {missing}: pip install 'hapticd[fit]'" in told
+    message = said(capsys, 1, "fit", "tap", "a.csv", "--report", "x.html")
+    assert f"needs {missing}: pip install 'hapticd[fit]'" in message
 
 
 # ---- Reports ---------------------------------------------------------------------------------------------------------
@@ -420,7 +415,7 @@ def size_of(png: bytes) -> tuple[int, int]:
 
 
 class Checked(HTMLParser):
-    """Every tag that is opened is closed, in order."""
+    """Checks that tags are closed in order."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -446,7 +441,7 @@ def test_a_page_holds_its_pictures_and_nothing_from_elsewhere() -> None:
     assert len(pictures) == text.count("src=") == 3
     assert all(min(size_of(base64.b64decode(picture))) > 100 for picture in pictures)
     assert "http" not in text and "href" not in text
-    for told in (
+    for words in (
         "one mode, well fitted &lt;&amp;&gt;",
         "the first tap is weak",
         "290 to 310",
@@ -454,7 +449,7 @@ def test_a_page_holds_its_pictures_and_nothing_from_elsewhere() -> None:
         "one &lt;tap&gt;",
         "0.9876",
     ):
-        assert told in text
+        assert words in text
 
 
 @pytest.mark.long
@@ -477,17 +472,17 @@ def test_a_thinned_line_keeps_its_extremes() -> None:
     assert np.array_equal(fewer_y, y[fewer_x.astype(int)])
 
 
-# ---- Recordings whose truth is known, through the command line -------------------------------------------------------
+# ---- Synthetic recordings --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.long
 def test_synthetic_recordings_are_fitted_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each kind made, fitted, put into one material and drawn; the truth is what was printed."""
+    """Synthesize each kind, fit it into one material and draw it; fitted values are those that `synthesize` prints."""
     monkeypatch.chdir(tmp_path)
     short = {"tap": (), "grooves": ("--duration", "0.5"), "texture": ("--duration", "3"), "puncture": ()}
-    # The peak of a broad spectrum is what 12 s tell least.
+    # The peak of a broad spectrum has the largest uncertainty.
     within = {"peak_hz": 0.4, "mean_hz": 0.05, "velocity_gain_per_s": 0.2, "force_gain_m_per_s2_per_n": 0.2}
     for kind, more in short.items():
         assert main(["fit", "synthesize", kind, "-o", f"{kind}.npz", "--noise", "0.01", "--json", *more]) == 0
@@ -497,10 +492,10 @@ def test_synthetic_recordings_are_fitted_back(
         if kind == "tap":
             arguments += ["--report", "tap.html"]
         assert main(["fit", kind, *made["files"], *arguments]) == 0
-        told = json.loads(capsys.readouterr().out)
+        result = json.loads(capsys.readouterr().out)
         assert len(made["truth"]) >= 4
         for name, truth in made["truth"].items():
-            found = told["fit"][name]
+            found = result["fit"][name]
             assert found["value"] == pytest.approx(truth, rel=within.get(name, 0.02) if kind == "texture" else 0.02)
             assert found["low"] <= found["value"] <= found["high"]
     assert Path("tap.html").read_text().count("data:image/png;base64,") == 4
@@ -509,7 +504,7 @@ def test_synthetic_recordings_are_fitted_back(
     assert pine.provenance is not None and len(pine.provenance.files) == 1 + 4 + 4 + 4
 
 
-def test_synthesize_makes_what_is_asked_for(
+def test_synthesize_follows_its_options(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -536,7 +531,7 @@ def test_synthesize_makes_what_is_asked_for(
     assert "first_peak_slope_per_s: 50 1/s" in capsys.readouterr().out
 
 
-def test_what_cannot_be_synthesized_is_told_in_one_line(
+def test_impossible_syntheses_are_reported_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -546,7 +541,7 @@ def test_what_cannot_be_synthesized_is_told_in_one_line(
     )
     Path("old.npz").write_text("")
     make = ("fit", "synthesize")
-    for told, code, arguments in (
+    for message, code, arguments in (
         ("Missing option '-o'", 2, ("tap",)),
         ("must end in .npz", 1, ("tap", "-o", "x.csv")),
         ("already exists", 1, ("tap", "-o", "old.npz")),
@@ -560,5 +555,5 @@ def test_what_cannot_be_synthesized_is_told_in_one_line(
         ("rupture", 1, ("puncture", "-o", "x.npz", "--material", "wood")),
         ("not a finite number", 2, ("tap", "-o", "x.npz", "--rate", "nan")),
     ):
-        assert told in said(capsys, code, *make, *arguments)
+        assert message in said(capsys, code, *make, *arguments)
     assert sorted(path.name for path in Path().iterdir()) == ["old.npz", "two.yaml"]

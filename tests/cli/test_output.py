@@ -1,4 +1,4 @@
-"""What commands print: people's lines, programs' JSON, and the line or object of a command that failed."""
+"""Output of commands: text, JSON, and the error of a failed command."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def status(**changes: object) -> Status:
     return cast(Status, {**plain, **changes})
 
 
-def test_the_status_of_a_daemon_that_is_well() -> None:
+def test_the_status_of_a_daemon_without_problems() -> None:
     assert text_of(list(lines(status()))).splitlines() == [
         "forces           on",
         "real time        SCHED_FIFO 80, processor 3, all memory locked, idle states held off",
@@ -74,13 +74,13 @@ def test_the_status_of_a_daemon_that_is_well() -> None:
     ]
 
 
-def test_what_is_wrong_comes_first_with_what_to_do() -> None:
+def test_problems_come_first_with_their_remedies() -> None:
     refused = Granted("other", 0, None, "none", False, ("SCHED_FIFO priority 80: Operation not permitted",))
     counters = {"skipped": 1234, "overruns": 1, "samples_dropped": 1, "events_dropped": 0}
-    told = status(
+    faulted = status(
         forces="faulted", faults=["device", "lease"], realtime=refused.to_dict(), counters=counters, rate_hz=5000.0
     )
-    assert text_of(list(lines(told))).splitlines()[:9] == [
+    assert text_of(list(lines(faulted))).splitlines()[:9] == [
         "forces           off by a fault: the device does not report and a lease lapsed",
         "                 `hapticd force on` turns them on again once the cause has ended",
         "real time        no priority, any processor, no memory locked, idle states as they are",
@@ -91,15 +91,15 @@ def test_what_is_wrong_comes_first_with_what_to_do() -> None:
         "device           sim at 5 kHz, stepped down from 10 kHz",
         "scene            revision 1,234",
     ]
-    assert ("telemetry", "1 sample and 0 events dropped") in list(lines(told))
+    assert ("telemetry", "1 sample and 0 events dropped") in list(lines(faulted))
     assert ("forces", "off: `hapticd force on` turns them on") in list(lines(status(forces="off")))
 
 
-def test_the_status_counts_the_messages_of_streams_that_came() -> None:
+def test_the_status_counts_the_messages_of_streams() -> None:
     streams = {"target": {"received": 0}, "force": {"received": 300, "used": 222, "timeouts": 12, "active": False}}
-    told = dict(lines(status(streams=streams)))
-    assert told["force stream"] == "ended: 300 messages received, 222 used; timed out 12 times"
-    assert "target stream" not in told
+    shown = dict(lines(status(streams=streams)))
+    assert shown["force stream"] == "ended: 300 messages received, 222 used; timed out 12 times"
+    assert "target stream" not in shown
 
 
 def with_signs(forces: str, word: SignsState, problem: SignsProblem = SignsProblem.FINE) -> list[tuple[str, str]]:
@@ -118,17 +118,17 @@ def with_signs(forces: str, word: SignsState, problem: SignsProblem = SignsProbl
     return list(lines(status(forces=forces, faults=faults, connection=connection)))
 
 
-def test_the_status_says_how_far_the_check_of_signs_is_and_what_to_do() -> None:
-    told = with_signs("on", SignsState.CHECKING)
-    assert told[0] == ("forces", "on, but held back while the signs of the device are checked")
-    assert ("signs", "checking") in told
-    told = with_signs("on", SignsState.WAITING, SignsProblem.CONTACT)
+def test_the_status_has_the_check_of_signs_and_the_remedy() -> None:
+    shown = with_signs("on", SignsState.CHECKING)
+    assert shown[0] == ("forces", "on, but held back while the signs of the device are checked")
+    assert ("signs", "checking") in shown
+    shown = with_signs("on", SignsState.WAITING, SignsProblem.CONTACT)
     advice = "the handle touches an object of the scene: move it away and let go of it"
-    assert ("signs", f"waiting: {advice}") in told
-    told = with_signs("on", SignsState.RIGHT)
-    assert told[0] == ("forces", "on") and ("signs", "right") in told
-    told = with_signs("faulted", SignsState.WRONG, SignsProblem.SWAPPED)
-    assert told[:2] == [
+    assert ("signs", f"waiting: {advice}") in shown
+    shown = with_signs("on", SignsState.RIGHT)
+    assert shown[0] == ("forces", "on") and ("signs", "right") in shown
+    shown = with_signs("faulted", SignsState.WRONG, SignsProblem.SWAPPED)
+    assert shown[:2] == [
         ("forces", "off by a fault: the signs of the device are not known"),
         (
             "",
@@ -136,10 +136,10 @@ def test_the_status_says_how_far_the_check_of_signs_is_and_what_to_do() -> None:
             "or set device.hid.signs: trust to skip the check",
         ),
     ]
-    assert ("signs", "wrong") in told
+    assert ("signs", "wrong") in shown
 
 
-def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_force_on_reports_a_pending_check_of_signs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     signs = SignsStatus(SignsState.CHECKING, SignsProblem.FINE, "x").to_dict()
     wrong = SignsStatus(SignsState.WRONG, SignsProblem.REVERSED, "x").line()
     answers: list[Any] = [
@@ -161,7 +161,7 @@ def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys:
         )
 
 
-def test_every_fault_has_words() -> None:
+def test_every_fault_has_a_reason() -> None:
     assert [fault_names(fault)[0] for fault in Fault] == [*FAULT_REASONS]
 
 
@@ -188,7 +188,7 @@ def test_every_fault_has_words() -> None:
         (OSError(5, "Input/output error", "x.npz"), None, "x.npz: Input/output error", []),
     ],
 )
-def test_a_failure_for_programs(
+def test_a_failure_as_json(
     error: Exception, code: int | None, message: str, problems: object, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert report_error(error, as_json=True) == 1
@@ -230,19 +230,19 @@ WITH_JSON = [
 
 
 @pytest.mark.parametrize("arguments", WITH_JSON, ids=" ".join)
-def test_every_command_fails_in_json_where_it_is_asked_to(
+def test_every_command_fails_in_json_with_the_option_json(
     arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("scene.yaml").write_text("objects: {}\n")
     place = ["--runtime-dir", str(tmp_path)]
     assert said(capsys, 1, *place, *arguments, "--json") == said(capsys, 1, *place, *arguments)
-    # Neither a stray argument nor an unknown option comes as text.
+    # A usage error is JSON, too.
     assert "--nonsense" in said(capsys, 2, *place, *arguments, "--json", "--nonsense")
 
 
 def test_with_json_nothing_but_an_error_is_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Without a daemon the materials are the shipped ones, which people are told beside them."""
+    """Without a daemon the materials are the shipped ones, and a note says so, except with --json."""
     place = ["--runtime-dir", str(tmp_path)]
     assert main([*place, "material", "get", "wood"]) == 0
     assert "shipped" in capsys.readouterr().err
@@ -253,7 +253,7 @@ def test_with_json_nothing_but_an_error_is_on_stderr(tmp_path: Path, capsys: pyt
 
 
 class Terminal(io.StringIO):
-    """A stderr that is a terminal."""
+    """A standard error stream that is a terminal."""
 
     def isatty(self) -> bool:
         return True
@@ -282,7 +282,7 @@ def test_on_a_terminal_each_fault_has_a_line(monkeypatch: pytest.MonkeyPatch) ->
     ]
 
 
-def test_faults_that_the_daemon_finds_are_told_by_line(tmp_path: Path) -> None:
+def test_faults_found_by_the_daemon_have_lines(tmp_path: Path) -> None:
     file = tmp_path / "s.yaml"
     file.write_text("b: {kind: wall}\na: {kind: wall}\n")
     params = {"objects": patch_tree(file, "objects")}
@@ -296,7 +296,7 @@ def test_faults_that_the_daemon_finds_are_told_by_line(tmp_path: Path) -> None:
     ]
 
 
-# ---- the shell's words -----------------------------------------------------------------------------------------------
+# ---- warnings --------------------------------------------------------------------------------------------------------
 
 
 def test_warnings_of_a_result(capsys: pytest.CaptureFixture[str]) -> None:
@@ -330,7 +330,7 @@ def test_warnings_of_a_result(capsys: pytest.CaptureFixture[str]) -> None:
         (["-q", "--log-level", "info"], "info"),
     ],
 )
-def test_one_option_says_how_much_is_logged(
+def test_options_select_the_log_level(
     options: list[str], level: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given: list[object] = []
@@ -340,9 +340,7 @@ def test_one_option_says_how_much_is_logged(
     assert given == [level]
 
 
-def test_forces_that_a_fault_keeps_off_are_told_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_force_off_reports_a_latched_fault(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from hapticd.cli import daemon
 
     class Faulted:

@@ -1,4 +1,4 @@
-"""Every command that writes a file leaves alone what is no regular file: a device, FIFO, socket, folder, or a link."""
+"""No command replaces a path that is not a regular file: a device, FIFO, socket, folder, or a link to one."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ COMMANDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("command", COMMANDS)
-def test_what_is_no_regular_file_is_left_alone(
+def test_only_regular_files_are_written(
     command: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = COMMANDS[command]

@@ -22,8 +22,8 @@ from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import fit_tap
 from hapticd.fit.texture import fit_texture
 from hapticd.fit.verdict import Exclusions
-from tests.cli.test_cli import said
 from tests.fit.test_refusals import GOOD, RATE_HZ, SEEN, TIME, Columns, puncture, ringing, written
+from tests.support.cli import said
 from tests.support.marks import rest_slow
 
 KINDS: Final = ("tap", "grooves", "texture", "puncture")

@@ -11,7 +11,7 @@ import pytest
 
 from hapticd.analysis.statistics import Floats
 from hapticd.cli import main
-from tests.cli.test_cli import said
+from tests.support.cli import said
 from tests.support.marks import rest_slow
 
 Columns: TypeAlias = "dict[str, Floats]"

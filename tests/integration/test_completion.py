@@ -173,7 +173,7 @@ def test_fish_offers_the_same(folder: Path) -> None:
         assert words[-1] in [each.replace("\\ ", " ").rstrip("/") for each in offered], (line, offered)
     for line in IN_VAIN:
         assert fish(line) == [], line
-    assert any("\t" in each and "," in each.split("\t")[1] for each in fish("hapticd --conn"))
+    assert any("\t" in each and "," in each.split("\t")[1] for each in fish("hapticd devi"))
 
 
 @pytest.mark.parametrize("shell", SCRIPT_PATH_BY_SHELL)

@@ -430,7 +430,7 @@ def test_a_set_is_no_larger_than_a_pair_and_what_meets_both() -> None:
 def test_nothing_that_is_called_safe_cycles_or_grows_and_what_grows_linearly_does() -> None:
     found = counted(SEED + 1, range(70), 128.0)
     assert found.broken == []
-    assert found.held == []
+    assert found.not_grown == []
     assert found.linear > 5
     assert sum(count for (what, _), count in found.fates.items() if what == "safe") > 25
     # The simulation can tell: of what is not safe some does not come to rest.

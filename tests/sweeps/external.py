@@ -1,4 +1,4 @@
-"""A scheduler of dask and its workers, as a shell script starts them."""
+"""A dask scheduler and its workers in separate processes, as a shell script starts them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ WITHOUT_HAPTICD = _worker_after(
 
 
 class External:
-    """A scheduler that runs, and its workers."""
+    """A running scheduler and its workers."""
 
     def __init__(self, stack: ExitStack, protocol: str, settings: Mapping[str, str]) -> None:
         self._stack = stack
@@ -55,7 +55,7 @@ class External:
         self.workers: list[subprocess.Popen[str]] = []
 
     def add(self, program: list[str]) -> subprocess.Popen[str]:
-        """One more worker."""
+        """Start another worker."""
         self.workers.append(self._start([*program, self.address], subprocess.DEVNULL))
         return self.workers[-1]
 
@@ -71,7 +71,7 @@ class External:
 def scheduler(
     *workers: list[str], protocol: str = "tcp", settings: Mapping[str, str] | None = None
 ) -> Iterator[External]:
-    """A scheduler with these workers; `settings`: environment variables for all of them."""
+    """Yield a scheduler with these workers; `settings` are environment variables of all processes."""
     with ExitStack() as stack:
         found = External(stack, protocol, settings or {})
         for program in workers:
@@ -81,7 +81,7 @@ def scheduler(
 
 @contextmanager
 def connected(address: str, workers: int) -> Iterator[Any]:
-    """A client of a scheduler that has so many workers."""
+    """Yield a client of a scheduler after `workers` workers have joined."""
     with client_of(address, None, False) as client:
         client.wait_for_workers(workers, timeout=PATIENCE_S)
         yield client

@@ -1,4 +1,4 @@
-"""Values of what is varied, and which of them make a point."""
+"""The values of axes, and their combination into points."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_linear_range_has_equal_steps_and_a_logarithmic_one_equal_ratios() -> 
     assert ratios == pytest.approx([10, 10**1.5, 100, 10**2.5, 1000], rel=1e-14)
 
 
-def test_a_linear_range_of_whole_numbers_holds_whole_numbers() -> None:
+def test_a_linear_range_of_integers_has_integers() -> None:
     found = points({"parameters.seed": {"low": 0, "high": 3, "count": 4}})
     assert found == [(0,), (1,), (2,), (3,)] and all(type(value) is int for (value,) in found)
 
@@ -63,7 +63,7 @@ def test_draws_have_their_distribution(axis: dict[str, Any], expected: Any) -> N
     drawn = column({"a.x": axis}, combine="random", count=4000)
     assert stats.kstest(drawn, expected.cdf).pvalue > 1e-3
     stratified = column({"a.x": axis}, combine="latin_hypercube", count=500)
-    # One in each of 500 equally probable parts.
+    # One value in each of 500 equally probable strata.
     assert sorted((expected.cdf(stratified) * 500).astype(int)) == list(range(500))
 
 
@@ -78,11 +78,11 @@ def test_drawn_lists_and_levels_are_equally_frequent() -> None:
     assert [found.count((each,)) for each in "pqr"] == [100, 100, 100]
 
 
-def test_draws_are_those_of_the_seed_and_the_key_whatever_else_is_varied() -> None:
+def test_draws_depend_only_on_seed_and_key() -> None:
     axis = {"low": 0.0, "high": 1.0}
     alone = column({"a.x": axis}, combine="random", count=10, seed=3)
-    beside = column({"a.x": axis, "b.x": axis}, combine="random", count=10, seed=3)
-    assert alone.tolist() == beside.tolist()
+    crossed = column({"a.x": axis, "b.x": axis}, combine="random", count=10, seed=3)
+    assert alone.tolist() == crossed.tolist()
     assert alone.tolist() != column({"a.x": axis}, combine="random", count=10, seed=4).tolist()
 
 
@@ -105,7 +105,7 @@ def test_too_many_points_are_refused_before_they_are_made() -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "message"),
     [
         ({"vary": {"a.x": {"low": 1.0}}}, "low and high must be given together"),
         ({"vary": {"a.x": {"low": 1.0, "high": 2.0}}}, "needs count or draws"),
@@ -121,6 +121,6 @@ def test_too_many_points_are_refused_before_they_are_made() -> None:
         ({"vary": {"a.x": [None]}}, "must be a number, a string, true or false, is null"),
     ],
 )
-def test_what_does_not_go_together_is_told(keys: dict[str, Any], told: str) -> None:
-    with pytest.raises(InvalidError, match=told):
+def test_incompatible_keys_are_reported(keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidError, match=message):
         SweepStudy.model_validate({"measure": ["peak_force_n"], **keys})

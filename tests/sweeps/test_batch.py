@@ -1,4 +1,4 @@
-"""`hapticd fit batch`: the materials are those of `hapticd fit`, whoever computes them, and nothing is done twice."""
+"""`hapticd fit batch`: materials equal those of `hapticd fit` with any workers, and finished fits are reused."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SPEEDS = (0.1, 0.15, 0.2, 0.25, 0.3)
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Wood of two kinds, steel, a comb, sandpaper, and taps of which none can be fitted."""
+    """Wood of two kinds, steel, a comb, sandpaper, and taps that cannot be fitted."""
     root, shipped = tmp_path_factory.mktemp("recordings") / "tree", shipped_materials()
 
     def made(name: str, *several: Any) -> None:
@@ -77,7 +77,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def tree(recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy in the current folder."""
+    """A copy of the recordings in the current folder."""
     shutil.copytree(recordings, tmp_path / "tree")
     monkeypatch.chdir(tmp_path)
     return Path("tree")
@@ -95,7 +95,7 @@ def fitted(*words: str) -> None:
     assert main(["fit", *words]) == 0
 
 
-def test_materials_are_those_that_each_fit_alone_gives(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_materials_are_those_of_single_fits(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = batch(capsys, "tree")
     assert (found["fits"], found["computed"], found["failed"]) == (6, 6, 1)
     wood = [str(each) for each in sorted((tree / "wood/tap").iterdir())]
@@ -112,7 +112,7 @@ def test_materials_are_those_that_each_fit_alone_gives(tree: Path, capsys: pytes
     assert ranks["felt"]["rank"] == 5 and ranks["felt"]["quality"] == "refused" and ranks["felt"]["file"] is None
     assert "about one speed" in ranks["felt"]["fits"][0]["verdict"]
     assert [fit["kind"] for fit in ranks["wood"]["fits"]] == ["tap", "puncture"]
-    # The truth is that of the library.
+    # The interval contains the value of the library.
     low, high = ranks["steel"]["fits"][0]["figures"]["frequency_hz"][1:]
     mode = shipped_materials()["steel"].tap.mode  # type: ignore[union-attr]
     assert low < mode.frequency_hz < high
@@ -121,25 +121,25 @@ def test_materials_are_those_that_each_fit_alone_gives(tree: Path, capsys: pytes
     assert places == sorted(places) and sum(found["qualities"].values()) == 5
 
 
-def test_what_is_done_is_not_done_again(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_finished_fits_are_not_computed_again(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first = batch(capsys, "tree")
     stamps = {each: each.stat().st_mtime_ns for each in Path("tree-fits/materials").iterdir()}
     page = Path("tree-fits/report.html").stat().st_mtime_ns
     again = batch(capsys, "tree")
     assert (again["computed"], again["reused"], again["sha256"]) == (0, 6, first["sha256"])
     assert Path("tree-fits/report.html").stat().st_mtime_ns == page
-    # A stiffness needs no fit; another recording, of one material, needs one.
+    # A changed stiffness needs no fit, a changed recording needs one.
     (tree / "fit.yaml").write_text("stiffness_n_per_m: 650\n")
     (tree / "steel/tap/0.npz.yaml").write_text(f"speed_m_per_s: {list(SPEEDS)}\n")
     third = batch(capsys, "tree")
     assert (third["computed"], third["reused"]) == (1, 5)
     changed = {each.stem for each, stamp in stamps.items() if each.stat().st_mtime_ns != stamp}
-    assert changed == {"comb", "steel"}  # silk says its own stiffness, and wood's is measured
+    assert changed == {"comb", "steel"}  # silk sets its stiffness, and that of wood is measured
     assert load_config("tree-fits/materials/comb.yaml").materials["comb"].stiffness_n_per_m == 650
     assert load_config("tree-fits/materials/silk.yaml").materials["silk"].stiffness_n_per_m == 300
 
 
-def test_a_day_alone_changes_no_file(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_change_of_the_date_alone_changes_no_file(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
     batch(capsys, "tree")
     file = Path("tree-fits/materials/comb.yaml")
     older = re.sub(r'date: "[0-9-]+"', 'date: "2001-02-03"', file.read_text())
@@ -147,8 +147,8 @@ def test_a_day_alone_changes_no_file(tree: Path, capsys: pytest.CaptureFixture[s
     Path("tree-fits/materials/elm.yaml").write_text("materials: {}\n")
     assert main(["fit", "batch", "tree", "--threads"]) == 1
     assert older != "" and file.read_text() == older
-    told = capsys.readouterr().err
-    assert "1 file of an earlier batch kept: tree-fits/materials/elm.yaml" in told
+    notes = capsys.readouterr().err
+    assert "1 file of an earlier batch kept: tree-fits/materials/elm.yaml" in notes
 
 
 def test_tables_and_page(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -179,12 +179,12 @@ def test_tables_and_page(tree: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert checked.files == {f"materials/{n}.yaml" for n in ("wood", "steel", "comb", "silk")}
     assert main(["sweep", "show", "out"]) == 1
     assert capsys.readouterr().err == ("hapticd: out: holds results of hapticd fit batch; see its report.html\n")
-    # One picture a fit that was not refused, and one over the materials for taps alone: only they have two.
+    # One picture for each fit that was not refused, and one over the materials for taps, of which there are two.
     assert text.count("data:image/png;base64,") == 5 + 1
 
 
 class _Checked(HTMLParser):
-    """Tags are closed in order, and links lead somewhere."""
+    """Checks that tags are closed in order, and collects links."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -194,12 +194,12 @@ class _Checked(HTMLParser):
         self.ids: set[str] = set()
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        said = dict(attrs)
-        href = said.get("href")
+        given = dict(attrs)
+        href = given.get("href")
         if href is not None:
             (self.anchors if href.startswith("#") else self.files).add(href.removeprefix("#"))
-        if said.get("id") is not None:
-            self.ids.add(str(said["id"]))
+        if given.get("id") is not None:
+            self.ids.add(str(given["id"]))
         if tag not in ("meta", "img"):
             self.open.append(tag)
 
@@ -219,19 +219,19 @@ def test_without_matplotlib_the_page_has_no_pictures(
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("none",), "none: no such folder"),
         (("tree", "-o", "tree/out"), "tree/out: is inside the tree of recordings; give a folder outside of it"),
         (("tree", "-o", "."), ".: not empty, and not a folder of results; give a new folder"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(
-    words: tuple[str, ...], told: str, tree: Path, capsys: pytest.CaptureFixture[str]
+def test_an_invalid_folder_is_reported_in_one_line(
+    words: tuple[str, ...], message: str, tree: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["fit", "batch", *words, "--threads"]) == 1
     printed = capsys.readouterr()
-    assert printed.out == "" and told in printed.err and printed.err.count("\n") == 1
+    assert printed.out == "" and message in printed.err and printed.err.count("\n") == 1
 
 
 def test_a_recording_that_changes_meanwhile_is_a_row(tree: Path) -> None:

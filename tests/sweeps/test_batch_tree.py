@@ -1,4 +1,4 @@
-"""Trees of recordings: what is found in them, and each fault in one line."""
+"""Trees of recordings: materials, kinds and options, and each fault in one line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support.special_files import KINDS, special, untouched
 
 
 def grown(root: Path, files: dict[str, str]) -> str:
-    """A tree of these files; one that ends in a slash is a folder."""
+    """Create a tree of these files, and return its path; a name that ends in a slash is a folder."""
     for name, content in files.items():
         path = root / name
         if name.endswith("/"):
@@ -66,7 +66,7 @@ TAP = {"pine/tap/1.npz": "a"}
 
 
 @pytest.mark.parametrize(
-    ("files", "told"),
+    ("files", "message"),
     [
         ({"x/": ""}, "x: holds no recordings; put them into a folder tap, grooves, texture or puncture, or here"),
         ({".x/": ""}, ": holds no material: each has a folder with folders tap, grooves"),
@@ -85,10 +85,7 @@ TAP = {"pine/tap/1.npz": "a"}
             {"pine/1.npz": "b", "pine/fit.yaml": "kind: tap", **TAP},
             "pine/tap: has the same kind as the recordings in pine itself",
         ),
-        (
-            {"oak/tap/x.npz": "a", **TAP},
-            "pine/tap/1.npz: same content as {root}/oak/tap/x.npz; a ",
-        ),
+        ({"oak/tap/x.npz": "a", **TAP}, "pine/tap/1.npz: same content as {root}/oak/tap/x.npz; a "),
         # YAML
         ({"pine/fit.yml": "kind: tap", **TAP}, "pine/fit.yml: must be named fit.yaml"),
         (
@@ -97,10 +94,7 @@ TAP = {"pine/tap/1.npz": "a"}
         ),
         ({"pine/tap/2.npz.yaml": "", **TAP}, "pine/tap/2.npz.yaml: describes 2.npz, which does not exist"),
         ({"pine/tap/1.npz.yml": "", **TAP}, "pine/tap/1.npz.yml: must be named 1.npz.yaml"),
-        (
-            {"pine/fit.yaml": "", **TAP},
-            "pine/fit.yaml:1:1: is empty; known keys: kind, stiffness_n_per_m, strict, as",
-        ),
+        ({"pine/fit.yaml": "", **TAP}, "pine/fit.yaml:1:1: is empty; known keys: kind, stiffness_n_per_m, strict, as"),
         ({"pine/fit.yaml": "objects: {}", **TAP}, "holds a scene; use: hapticd scene set {root}/pine/fit.yaml"),
         ({"fit.yaml": "\nlaws: line", **TAP}, "fit.yaml:2:1: laws: unknown key; did you mean law?"),
         ({"fit.yaml": "as: pulse", **TAP}, "fit.yaml:1:1: as: should be 'auto', 'mode' or 'waveform', is "),
@@ -127,35 +121,37 @@ TAP = {"pine/tap/1.npz": "a"}
         ),
     ],
 )
-def test_a_fault_of_a_tree_is_one_line_with_its_place(files: dict[str, str], told: str, tmp_path: Path) -> None:
+def test_a_fault_of_a_tree_is_one_line_with_its_place(files: dict[str, str], message: str, tmp_path: Path) -> None:
     root = grown(tmp_path / "tree", files)
     with pytest.raises(InvalidError) as caught:
         read_tree(root)
     (problem,) = caught.value.problems
-    assert str(problem).startswith(root) and told.format(root=root) in str(problem)
+    assert str(problem).startswith(root) and message.format(root=root) in str(problem)
 
 
-def test_all_faults_of_a_tree_are_told_at_once(tmp_path: Path) -> None:
+def test_all_faults_of_a_tree_are_reported_together(tmp_path: Path) -> None:
     with pytest.raises(InvalidError) as caught:
         read_tree(grown(tmp_path, {"a/": "", "b/taps/1.npz": "", "c/fit.yaml": "kind: tops", "c/1.npz": ""}))
     assert len(caught.value.problems) == 3
 
 
-@pytest.mark.parametrize(("name", "told"), [("none", "no such folder"), ("file", "not a folder")])
-def test_what_is_no_tree_is_told(name: str, told: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "message"), [("none", "no such folder"), ("file", "not a folder")])
+def test_a_path_without_a_tree_is_refused(name: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(HapticdError, match=f"{name}: {told}; a batch needs a folder with a folder for each material"):
+    with pytest.raises(
+        HapticdError, match=f"{name}: {message}; a batch needs a folder with a folder for each material"
+    ):
         read_tree(str(tmp_path / name))
 
 
-def test_a_recording_that_is_a_pipe_or_leads_nowhere_is_told(tmp_path: Path) -> None:
+def test_a_recording_that_is_a_pipe_or_a_broken_link_is_reported(tmp_path: Path) -> None:
     root = grown(tmp_path, TAP)
     os.mkfifo(tmp_path / "pine/tap/2.npz")
     (tmp_path / "pine/tap/3.npz").symlink_to("nowhere")
     with pytest.raises(InvalidError) as caught:
         read_tree(root)
-    told = [str(each) for each in caught.value.problems]
-    assert told == [
+    messages = [str(each) for each in caught.value.problems]
+    assert messages == [
         f"{root}/pine/tap/2.npz: not a regular file",
         f"{root}/pine/tap/3.npz: cannot be read: No such file or directory",
     ]
@@ -165,7 +161,7 @@ def ids(root: Path) -> set[bytes]:
     return {each.tobytes() for each in Batch(read_tree(str(root))).ids}
 
 
-def test_a_fit_is_known_by_content_options_and_names_not_by_where_the_tree_is(tmp_path: Path) -> None:
+def test_the_identity_of_a_fit_is_content_options_and_names_but_not_the_path(tmp_path: Path) -> None:
     files = {"pine/tap/1.npz": "a", "oak/tap/1.npz": "b"}
     one = tmp_path / "one"
     grown(one, files)
@@ -189,7 +185,7 @@ def test_a_fit_is_known_by_content_options_and_names_not_by_where_the_tree_is(tm
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_results_are_written_to_files_alone(kind: str, tmp_path: Path) -> None:
+def test_results_are_written_only_to_regular_files(kind: str, tmp_path: Path) -> None:
     wood = MaterialResult("wood", "good", (), shipped_materials()["wood"], ())
     for name, write in (
         ("ranking.csv", lambda: write_tables(tmp_path, [], {})),
@@ -197,7 +193,7 @@ def test_results_are_written_to_files_alone(kind: str, tmp_path: Path) -> None:
         ("materials/wood.yaml", lambda: write_materials(tmp_path, [wood])),
     ):
         (tmp_path / name).parent.mkdir(exist_ok=True)
-        told = special(tmp_path / name, kind)
+        message = special(tmp_path / name, kind)
         with untouched(tmp_path), pytest.raises(HapticdError) as caught:
             write()
-        assert str(caught.value) == told
+        assert str(caught.value) == message

@@ -1,4 +1,4 @@
-"""The benches that are studies: each is valid, and its rows are what its function gives without the engine."""
+"""The studies of the benchmarks: each is valid, and its rows are those of its function without the engine."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.marks import rest_slow
 
 @pytest.mark.long
 @pytest.mark.parametrize("file", rest_slow(sorted(STUDIES.glob("*.yaml"))), ids=lambda file: file.stem)
-def test_a_study_of_the_bench_is_valid_and_has_its_points(file: Any) -> None:
+def test_a_study_of_the_benchmarks_is_valid_and_has_its_points(file: Any) -> None:
     found = load_sweep(file)
     study: Any = load_path(file).data
     counts = [len(axis) if isinstance(axis, list) else axis["count"] for axis in study["vary"].values()]
@@ -31,14 +31,14 @@ def test_a_study_of_the_bench_is_valid_and_has_its_points(file: Any) -> None:
 
 
 @pytest.mark.slow
-def test_the_bench_computes_its_studies_as_the_functions_do() -> None:
-    told: list[float] = []
+def test_the_benchmarks_compute_studies_as_the_functions_do() -> None:
+    fractions: list[float] = []
     with client_of(None, 2, threads=True) as client:
         cases = {"parameters.case": [3, 11], "parameters.positions": ["delay", "exact"]}
-        rows = swept(client, "passivity", told.append, cases)  # type: ignore[arg-type]
-        trials = swept(client, "stability_trials", told.append, {"parameters.trial": [0, 5]})
-        fits = swept(client, "fit_taps", told.append, {"parameters.material": ["wood"], "parameters.set": [4]})
-    assert told[-1] == 1.0
+        rows = swept(client, "passivity", fractions.append, cases)  # type: ignore[arg-type]
+        trials = swept(client, "stability_trials", fractions.append, {"parameters.trial": [0, 5]})
+        fits = swept(client, "fit_taps", fractions.append, {"parameters.material": ["wood"], "parameters.set": [4]})
+    assert fractions[-1] == 1.0
     order = [(row["parameters.positions"], row["parameters.passivity"], row["parameters.case"]) for row in rows]
     assert order == [
         (positions, mode, case)
@@ -61,13 +61,12 @@ def test_the_bench_computes_its_studies_as_the_functions_do() -> None:
 
 
 @pytest.mark.slow
-def test_a_point_without_a_result_ends_a_bench() -> None:
+def test_a_point_without_a_result_ends_a_benchmark() -> None:
     with client_of(None, 1, threads=True) as client, pytest.raises(RuntimeError, match=r"fit_taps: bench.fit:fitted: "):
         swept(client, "fit_taps", lambda part: None, {"parameters.material": ["cheese"], "parameters.set": [0]})
 
 
-def test_places_of_the_maps_are_those_of_the_figure() -> None:
-    """The key of each axis of a map is what its study varies."""
+def test_each_map_varies_the_key_of_its_axis() -> None:
     for axis, (_, key, _) in stability.AXES.items():
         study: Any = load_path(ROOT / "bench" / "studies" / f"stability_{axis}.yaml").data
         assert list(study["vary"]) == [key]

@@ -1,4 +1,4 @@
-"""`hapticd sweep` and `hapticd.sweep` as a user has them."""
+"""`hapticd sweep` and `hapticd.sweep`, as users call them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ import yaml
 
 import hapticd
 from hapticd.cli import main
+from tests.sweeps.results_of import FLOOR
+from tests.sweeps.results_of import WALL as BASE
 
 FREE = {
     "max_force_n": 100,
@@ -25,9 +27,7 @@ FREE = {
         "hand": {"mass_kg": 0, "stiffness_n_per_m": 0, "damping_n_s_per_m": 0},
     },
 }
-"""A handle of 0.2 N s/m that nobody holds, with exact positions and no dry friction."""
-FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "m"}
-BASE = {"materials": {"m": {"stiffness_n_per_m": 100}}, "scene": {"objects": {"floor": FLOOR}}}
+"""A free handle with 0.2 N s/m, exact positions and no dry friction."""
 PRESS = {"waypoints": [[0, 0, 0.002], [0.05, 0, -0.001]]}
 
 
@@ -90,7 +90,7 @@ def test_run_and_show(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 def test_a_point_that_cannot_be_computed_is_a_row_and_the_exit_code_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # Only together are these two refused: positions outside of the workspace.
+    # The combination of the second values is invalid: a start position outside the workspace.
     vary = {"device.sim.workspace_m": [0.075, 0.01], "device.sim.start_m[1]": [0.005, 0.05]}
     base = {**BASE, "device": {"sim": {"start_m": [0, 0.005]}}}
     code, out, err = ran(capsys, "run", study(tmp_path, base=base, vary=vary), "-o", str(tmp_path / "r"), "--threads")
@@ -101,7 +101,7 @@ def test_a_point_that_cannot_be_computed_is_a_row_and_the_exit_code_says_so(
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "message"),
     [
         ({"vary": {"servo.rate": [1000]}}, 'vary."servo.rate": unknown key; did you mean rate_hz?'),
         ({"vary": {"servo.rate_hz": [1000, 5]}}, 'vary."servo.rate_hz": should be greater than or equal to 1000, is 5'),
@@ -125,10 +125,10 @@ def test_a_point_that_cannot_be_computed_is_a_row_and_the_exit_code_says_so(
     ],
 )
 def test_a_fault_is_one_line_with_its_place(
-    keys: dict[str, Any], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    keys: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, err = ran(capsys, "run", study(tmp_path, **keys), "-o", str(tmp_path / "r"), "--threads")
-    assert code == 1 and out == "" and told in err and len(err.splitlines()) == 1, err
+    assert code == 1 and out == "" and message in err and len(err.splitlines()) == 1, err
     assert not (tmp_path / "r").exists()
 
 
@@ -140,14 +140,14 @@ def test_another_kind_of_file_names_the_command_that_takes_it(
     assert code == 1 and "hapticd scene set" in err
 
 
-def test_points_that_compute_the_same_are_one(tmp_path: Path) -> None:
+def test_points_with_equal_input_are_one_point(tmp_path: Path) -> None:
     found = hapticd.sweep(
         {"base": BASE, "vary": {"servo.rate_hz": [1000, 1000.0, 2000]}, "measure": ["stability_factor"]}, threads=True
     )
     assert sorted(found["servo.rate_hz"]) == [1000, 2000]
 
 
-def test_two_studies_share_the_points_that_are_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_studies_share_equal_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = str(tmp_path / "r")
     stiffness = "materials.m.stiffness_n_per_m"
     ran(capsys, "run", study(tmp_path, vary={stiffness: [100, 200]}), "-o", folder, "--threads")
@@ -159,7 +159,7 @@ def test_two_studies_share_the_points_that_are_alike(tmp_path: Path, capsys: pyt
     assert sorted(row[stiffness] for row in json.loads(out)["rows"]) == [200, 300, 400]
 
 
-def test_rows_with_other_columns_are_not_taken_for_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_with_other_columns_are_not_reused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = str(tmp_path / "r")
     stiffness = "materials.m.stiffness_n_per_m"
     ran(capsys, "run", study(tmp_path, vary={stiffness: [200]}), "-o", folder, "--threads")
@@ -171,15 +171,15 @@ def test_rows_with_other_columns_are_not_taken_for_the_same(tmp_path: Path, caps
 
 
 @pytest.mark.parametrize(
-    ("missing", "told"),
+    ("missing", "message"),
     [
         ("distributed", "sweeps need dask: pip install 'hapticd[cluster]'"),
         ("pyarrow.parquet", "results of sweeps need pyarrow: pip install 'hapticd[cluster]'"),
     ],
 )
-def test_without_the_extra_it_says_so_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, missing: str, told: str
+def test_a_missing_package_is_reported_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, missing: str, message: str
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
-    assert ran(capsys, "run", study(tmp_path), "-o", str(tmp_path / "out")) == (1, "", f"hapticd: {told}\n")
+    assert ran(capsys, "run", study(tmp_path), "-o", str(tmp_path / "out")) == (1, "", f"hapticd: {message}\n")
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""The measures of a design: the passive limit against its closed form, what is displayed against runs and forms."""
+"""The measures of a joystick design, compared with closed forms and runs."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_no_stiffness_is_passive_with_more_damping_than_the_handle_has() -> None
     assert measured({"passive_limit": {"material": "m"}}, document) == {"passive_limit_n_per_m": 0.0}
 
 
-def test_the_passive_limit_of_nothing_is_refused() -> None:
+def test_the_passive_limit_needs_a_material_and_a_handle() -> None:
     with pytest.raises(HapticdError, match="unknown material paper"):
         measured({"passive_limit": {"material": "paper"}}, {})
     with pytest.raises(HapticdError, match=r"device\.handle is not given"):
@@ -106,20 +106,22 @@ def test_without_compensation_the_force_is_that_of_the_mode_in_the_library() -> 
 
 
 @pytest.mark.parametrize("compensation", ["off", "mass"])
-def test_a_tap_needs_no_more_than_the_force_that_is_told(compensation: str) -> None:
-    """A tap at 0.1 m/s in the open loop: its vibration is at most the force, and more than two thirds of it, since its
-    first samples lie anywhere in a wave that is six ticks long."""
+def test_a_tap_needs_at_most_the_reported_force(compensation: str) -> None:
+    """A tap at 0.1 m/s in the open loop: its largest vibration is between 2/3 and 1 of the reported force.
+
+    A wave is only six ticks long, so that the samples may miss its peak.
+    """
     document = changed(compensation=compensation)
     wall = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "steel"}
     found = measured({"displayed_materials": {"materials": ["steel"], "speed_m_per_s": 0.1}}, document)
-    told = found["needed_force_n"]
-    assert isinstance(told, float)
+    needed_n = found["needed_force_n"]
+    assert isinstance(needed_n, float)
     peaks = []
     for phase in np.linspace(0, 1, 8, endpoint=False):
         y = 0.002 - 0.1 / 10_000 * (np.arange(400) + phase)
         samples = hapticd.render({**document, "scene": {"objects": {"w": wall}}}, np.column_stack([0 * y, y]))
         peaks.append(float(np.abs(samples["vibration_force_n"]).max()))
-    assert 0.67 * told < max(peaks) <= told * (1 + 1e-3)
+    assert 0.67 * needed_n < max(peaks) <= needed_n * (1 + 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +139,7 @@ def test_a_tap_needs_no_more_than_the_force_that_is_told(compensation: str) -> N
         ({"max_force_n": 12}, {}, "force: cast_iron 13 N, steel 15 N", 5),
     ],
 )
-def test_what_is_not_displayed_has_its_first_reason(
+def test_a_material_that_is_not_displayed_has_its_first_reason(
     device: dict[str, Any], options: dict[str, Any], reason: str, count: int
 ) -> None:
     found = displayed(changed(**device), **options)
@@ -145,8 +147,8 @@ def test_what_is_not_displayed_has_its_first_reason(
     assert found["displayed"] == count and found["suffices"] is False
 
 
-def test_a_wall_counts_as_stable_as_the_margin_says() -> None:
-    """The limit is 2 b/T = 4000 N/m for the default handle: 800 N/m have 5, a handle of a fifth of the damping 1."""
+def test_a_wall_is_stable_if_its_margin_is() -> None:
+    """The limit is 2 b/T = 4000 N/m for the default handle, so 800 N/m have a margin of 5; 1/5 of b gives 1."""
     for damping, stable in ((0.0401, True), (0.0399, False)):
         sim = {"handle_damping_n_s_per_m": damping, "encoder_step_m": 0, "force_step_n": 0}
         assert displayed(changed(sim=sim))["suffices"] is stable

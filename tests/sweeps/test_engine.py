@@ -1,4 +1,4 @@
-"""The same rows from threads, processes and an external scheduler, whatever ends meanwhile."""
+"""Threads, processes and external workers compute the same rows, even if workers end."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_rows_are_those_of_the_points_and_progress_ends_at_all(tmp_path: Path) -
 
 
 def listeners() -> dict[str, str]:
-    """Addresses of this machine's listening sockets, as /proc has them (127.0.0.1: 0100007F), by inode."""
+    """Return the addresses of listening sockets by inode, in the form of /proc (127.0.0.1 is 0100007F)."""
     rows = [
         line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/self/net/{name}").read_text().splitlines()[1:]
     ]
@@ -64,7 +64,7 @@ def listeners() -> dict[str, str]:
 
 
 def of_process(pid: int | str) -> set[str]:
-    """The inodes of a process' sockets."""
+    """Return the inodes of the sockets of a process."""
     found = set()
     for each in Path(f"/proc/{pid}/fd").iterdir():
         with suppress(FileNotFoundError):
@@ -80,7 +80,7 @@ def test_threads_open_no_port() -> None:
 
 
 @pytest.mark.slow
-def test_processes_listen_on_this_machine_alone() -> None:
+def test_processes_listen_only_on_this_machine() -> None:
     before = of_process("self")
     with client_of(None, 2, False) as client:
         pids = client.run(os.getpid).values()
@@ -99,7 +99,6 @@ def test_processes_give_the_same_bits(workers: int, tmp_path: Path, expected: st
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_killed_worker_changes_nothing(seed: int, tmp_path: Path, expected: str) -> None:
-    """At a random moment."""
     killed: list[int] = []
     with scheduler(WORKER, WORKER) as running, connected(running.address, 2) as client:
         notes: list[str] = []
@@ -127,19 +126,17 @@ def test_a_worker_of_another_version_is_refused_in_one_line(tmp_path: Path, expe
 
 
 @pytest.mark.slow
-def test_where_no_worker_can_be_used_it_says_so(tmp_path: Path) -> None:
+def test_without_a_usable_worker_the_study_ends_with_the_reason(tmp_path: Path) -> None:
     with (
         scheduler(OTHER_VERSION) as running,
         connected(running.address, 1) as client,
-        pytest.raises(HapticdError, match="cannot be used: none of its workers runs this hapticd"),
+        pytest.raises(HapticdError, match="cannot be used: none of its workers runs this version of hapticd"),
     ):
         ran(Roots(10), tmp_path, nullcontext(client))
 
 
 @pytest.mark.slow
-def test_where_the_last_worker_ends_it_says_so_and_keeps_what_is_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_when_the_last_worker_ends_finished_rows_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "WORKER_WAIT_S", 1.0)
     store = Store(tmp_path, lambda text: None)
     with scheduler(WORKER) as running, connected(running.address, 1) as client:
@@ -154,11 +151,11 @@ def test_a_point_that_ends_its_worker_is_a_row_with_its_reason(tmp_path: Path) -
     outcome, store, _, _ = ran(Roots(40, "exits"), tmp_path, client_of(None, 2, False))
     assert (outcome.computed, outcome.failed) == (40, 1)
     rows = {row["n"]: row for row in store.table().to_pylist()}
-    assert rows.pop(None)["error"].startswith("every worker that computed it ended")
+    assert rows.pop(None)["error"].startswith("every worker that computed this point ended")
     assert set(rows) == set(range(40)) - {BAD} and all(row["error"] is None for row in rows.values())
 
 
-def test_a_point_that_raises_what_nobody_expects_is_a_row(tmp_path: Path) -> None:
+def test_a_point_with_an_unexpected_exception_is_a_row(tmp_path: Path) -> None:
     outcome, store, _, _ = ran(Roots(40, "raises"), tmp_path, threads())
     assert (outcome.computed, outcome.failed) == (40, 1)
     (failed,) = (row for row in store.table().to_pylist() if row["error"] is not None)
@@ -166,7 +163,7 @@ def test_a_point_that_raises_what_nobody_expects_is_a_row(tmp_path: Path) -> Non
     assert "\n" not in failed["error"]
 
 
-def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
+def test_existing_rows_are_not_computed_again(tmp_path: Path) -> None:
     log = tmp_path / "log"
     ran(Roots(30), tmp_path / "r", threads())
     outcome, _, _, _ = ran(Roots(50, log=str(log)), tmp_path / "r", threads())
@@ -174,13 +171,13 @@ def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
     assert sorted(int(each) for each in log.read_text().split()) == list(range(30, 50))
 
     def opened() -> AbstractContextManager[Any]:
-        raise AssertionError("nothing is to be computed")
+        raise AssertionError("no point must be computed")
 
     store = Store(tmp_path / "r", lambda text: None)
     assert run(Roots(50), store, opened, lambda text: None, lambda progress: None).reused == 50
 
 
-def test_again_computes_failed_points_anew(tmp_path: Path) -> None:
+def test_again_computes_failed_points(tmp_path: Path) -> None:
     ran(Roots(40, "raises"), tmp_path, threads())
     outcome, _, _, _ = ran(Roots(40), tmp_path, threads())
     assert outcome.computed == 0
@@ -188,7 +185,7 @@ def test_again_computes_failed_points_anew(tmp_path: Path) -> None:
     assert outcome.computed == 1 and all(row["error"] is None for row in store.table().to_pylist())
 
 
-def test_a_damaged_piece_is_told_and_computed_again(tmp_path: Path) -> None:
+def test_a_damaged_piece_is_reported_and_computed_again(tmp_path: Path) -> None:
     _, store, _, _ = ran(Roots(40), tmp_path, threads())
     before = store.digest()
     piece = max((tmp_path / "pieces").iterdir(), key=lambda file: file.stat().st_size)
@@ -198,7 +195,7 @@ def test_a_damaged_piece_is_told_and_computed_again(tmp_path: Path) -> None:
     assert outcome.computed > 0 and store.digest() == before
 
 
-def test_where_the_disk_is_full_for_a_while_results_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_wait_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written, refused = Store.write, 2
 
     def write(self: Store, rows: Any, columns: Any) -> None:
@@ -214,7 +211,7 @@ def test_where_the_disk_is_full_for_a_while_results_wait(tmp_path: Path, monkeyp
     assert len(notes) == 1 and notes[0].endswith("results are kept in memory and written with the next ones")
 
 
-def test_where_the_disk_stays_full_it_ends_with_that_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_if_the_disk_stays_full_the_study_ends_with_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def write(self: Store, rows: Any, columns: Any) -> None:
         raise HapticdError("pieces: cannot be written: No space left on device")
 
@@ -223,7 +220,7 @@ def test_where_the_disk_stays_full_it_ends_with_that_line(tmp_path: Path, monkey
         ran(Roots(20), tmp_path, threads())
 
 
-def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
+def test_an_interrupt_keeps_finished_rows(tmp_path: Path) -> None:
     store = Store(tmp_path, lambda text: None)
 
     def report(progress: Progress) -> None:
@@ -238,9 +235,9 @@ def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
     assert outcome.reused == kept and store.table().num_rows == 400
 
 
-def test_an_unreachable_scheduler_is_one_line() -> None:
-    told = r"^tcp://127.0.0.1:9: no scheduler answers within 10 s(: .+)?$"
-    with pytest.raises(HapticdError, match=told), client_of("tcp://127.0.0.1:9", None, False):
+def test_an_unreachable_scheduler_is_reported_in_one_line() -> None:
+    message = r"^tcp://127.0.0.1:9: no scheduler answers within 10 s(: .+)?$"
+    with pytest.raises(HapticdError, match=message), client_of("tcp://127.0.0.1:9", None, False):
         pass
 
 

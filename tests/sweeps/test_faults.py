@@ -1,4 +1,4 @@
-"""What goes wrong while a study runs is one line, or the row of its point, and the rest goes on."""
+"""A fault during a study is one line, or the row of its point, and the other points are computed."""
 
 from __future__ import annotations
 
@@ -31,8 +31,10 @@ from tests.sweeps.works import BAD, Fault, Roots
 pytestmark = pytest.mark.slow
 
 
-def told(words: list[str], environment: dict[str, str] | None = None, **started: Any) -> tuple[int, list[str], str]:
-    """Exit code, lines on stderr without the dashboard's and progress, and stdout of a command."""
+def ran_command(
+    words: list[str], environment: dict[str, str] | None = None, **started: Any
+) -> tuple[int, list[str], str]:
+    """Return exit code, stderr (lines without dashboard and progress) and stdout of a command."""
     done = subprocess.run(
         words, capture_output=True, text=True, env={**os.environ, **(environment or {})}, timeout=PATIENCE_S, **started
     )
@@ -53,7 +55,7 @@ def test_a_worker_without_hapticd_is_refused_in_one_line(tmp_path: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("program", "why"), [(WITHOUT_HAPTICD, "No module named 'hapticd'"), (OTHER_VERSION, "9.9.9")])
-def test_one_that_comes_while_the_study_runs_is_refused_too(program: list[str], why: str, tmp_path: Path) -> None:
+def test_a_worker_that_joins_during_the_study_is_refused_too(program: list[str], why: str, tmp_path: Path) -> None:
     notes: list[str] = []
     with scheduler(WORKER) as running, connected(running.address, 1) as client:
 
@@ -64,14 +66,14 @@ def test_one_that_comes_while_the_study_runs_is_refused_too(program: list[str], 
 
         store = Store(tmp_path, notes.append)
         outcome = run(Roots(400, busy_s=0.01), store, lambda: nullcontext(client), notes.append, report)
-        assert len(client.nthreads()) == 2  # it was not ended by what it could not read
+        assert len(client.nthreads()) == 2  # the task that it could not load has not ended it
     assert (outcome.computed, outcome.failed) == (400, 0)
     assert len(notes) == 1 and "is not used: " in notes[0] and why in notes[0]
 
 
 @pytest.mark.slow
-def test_where_the_only_good_worker_is_replaced_its_pieces_go_to_the_new_one(tmp_path: Path) -> None:
-    """Pieces are bound to the workers that were there, once one is refused."""
+def test_pieces_of_the_only_usable_worker_go_to_its_replacement(tmp_path: Path) -> None:
+    """After a worker was refused, pieces are bound to the workers that are known at the time."""
     with scheduler(WORKER, WITHOUT_HAPTICD) as running, connected(running.address, 2) as client:
 
         def report(progress: Progress) -> None:
@@ -92,7 +94,7 @@ def test_a_point_that_takes_all_memory_is_a_row(fault: Fault, tmp_path: Path, mo
     outcome, store, _, _ = ran(Roots(20, fault), tmp_path, client_of(None, 2, False))
     assert (outcome.computed, outcome.failed) == (20, 1)
     (failed,) = (row for row in store.table().to_pylist() if row["error"] is not None)
-    assert failed["error"] == "every worker that computed it ended: too little memory, or a crash"
+    assert failed["error"] == "every worker that computed this point ended: too little memory, or a crash"
 
 
 def test_a_point_that_is_refused_memory_is_a_row(tmp_path: Path) -> None:
@@ -107,7 +109,7 @@ def test_a_point_that_is_refused_memory_is_a_row(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_goes_is_one_line_and_what_is_done_stays(tmp_path: Path) -> None:
+def test_a_killed_scheduler_is_reported_and_finished_rows_are_kept(tmp_path: Path) -> None:
     store = Store(tmp_path, lambda text: None)
     with scheduler(WORKER) as running, connected(running.address, 1) as client:
 
@@ -128,13 +130,13 @@ def test_a_scheduler_that_goes_is_one_line_and_what_is_done_stays(tmp_path: Path
         ("tls://127.0.0.1:9", "tls://127.0.0.1:9: cannot be used: TLS expects a `ssl_context` argument"),
     ],
 )
-def test_a_scheduler_that_cannot_be_reached_is_one_line(address: str, why: str, tmp_path: Path) -> None:
-    code, said, _ = told(command(study(tmp_path, 5), tmp_path / "r", "--scheduler", address))
+def test_the_command_reports_an_unreachable_scheduler_in_one_line(address: str, why: str, tmp_path: Path) -> None:
+    code, said, _ = ran_command(command(study(tmp_path, 5), tmp_path / "r", "--scheduler", address))
     assert code == 1 and len(said) == 1 and said[0].startswith(f"hapticd: {why}"), said
 
 
 @pytest.mark.slow
-def test_a_worker_is_no_scheduler(tmp_path: Path) -> None:
+def test_a_worker_is_refused_as_scheduler(tmp_path: Path) -> None:
     with (
         scheduler(WORKER) as running,
         connected(running.address, 1) as client,
@@ -148,7 +150,7 @@ def test_a_worker_is_no_scheduler(tmp_path: Path) -> None:
 
 
 def certificates(folder: Path, name: str) -> dict[str, str]:
-    """The settings of dask for a throw-away certificate that signs itself: all parts have the same."""
+    """Return settings of dask with a new self-signed certificate, which all parts of the cluster use."""
     cert, key = folder / f"{name}.pem", folder / f"{name}.key"
     subprocess.run(
         ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
@@ -163,19 +165,19 @@ def certificates(folder: Path, name: str) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_tls_is_that_of_the_configuration_of_dask(tmp_path: Path) -> None:
+def test_tls_follows_the_configuration_of_dask(tmp_path: Path) -> None:
     file = study(tmp_path, 20)
-    _, _, out = told(command(file, tmp_path / "here", "--threads", "--json"))
+    _, _, out = ran_command(command(file, tmp_path / "here", "--threads", "--json"))
     ours, others = certificates(tmp_path, "ours"), certificates(tmp_path, "others")
     with scheduler(WORKER, protocol="tls", settings=ours) as running:
         over = ("--scheduler", running.address, "--json")
-        code, said, over_tls = told(command(file, tmp_path / "tls", *over), ours)
+        code, said, over_tls = ran_command(command(file, tmp_path / "tls", *over), ours)
         assert code == 0 and said == []
         assert json.loads(over_tls)["sha256"] == json.loads(out)["sha256"]
-        code, said, _ = told(command(file, tmp_path / "others", *over[:2]), others)
+        code, said, _ = ran_command(command(file, tmp_path / "others", *over[:2]), others)
         assert code == 1 and len(said) == 1 and "no scheduler answers within 10 s: " in said[0]
         plain = running.address.replace("tls://", "tcp://")
-        code, said, _ = told(command(file, tmp_path / "plain", "--scheduler", plain), ours)
+        code, said, _ = ran_command(command(file, tmp_path / "plain", "--scheduler", plain), ours)
         assert code == 1 and len(said) == 1 and "no scheduler answers within 10 s" in said[0]
 
 
@@ -184,10 +186,10 @@ def test_tls_is_that_of_the_configuration_of_dask(tmp_path: Path) -> None:
 
 def test_a_folder_that_another_process_writes_into_is_refused(tmp_path: Path) -> None:
     def opened() -> Any:
-        code, said, _ = told(command(study(tmp_path, 5), tmp_path / "r", "--threads"))
+        code, said, _ = ran_command(command(study(tmp_path, 5), tmp_path / "r", "--threads"))
         assert code == 1
-        told_it = "another process writes results into it; wait for its end, or give another folder"
-        assert said == [f"hapticd: {tmp_path / 'r'}: {told_it}"]
+        message = "another process writes results into it; wait for its end, or give another folder"
+        assert said == [f"hapticd: {tmp_path / 'r'}: {message}"]
         return threads()
 
     store = Store(tmp_path / "r", lambda text: None)
@@ -198,12 +200,12 @@ def test_half_written_pieces_of_a_killed_process_are_removed(tmp_path: Path) -> 
     ran(Roots(10), tmp_path, threads())
     part = tmp_path / "pieces" / f".{'0' * 32}.parquet.77.{'1' * 16}.part"
     part.write_bytes(b"half")
-    (tmp_path / "pieces" / ".hidden.part").write_bytes(b"another's")
+    (tmp_path / "pieces" / ".hidden.part").write_bytes(b"foreign")
     ran(Roots(10), tmp_path, threads())
     assert not part.exists() and (tmp_path / "pieces" / ".hidden.part").exists()
 
 
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+def test_a_read_only_folder_is_reported_in_one_line(tmp_path: Path) -> None:
     tmp_path.chmod(0o555)
     user = os.geteuid()
     if user == 0:
@@ -217,7 +219,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_disk_that_stays_full_is_one_line_and_a_code(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_sets_the_exit_code(tmp_path: Path) -> None:
     folder = tmp_path / "r"
     with subprocess.Popen(
         command(study(tmp_path, 400), folder, "--threads"), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -235,7 +237,7 @@ def test_a_disk_that_stays_full_is_one_line_and_a_code(tmp_path: Path) -> None:
     assert said[1].endswith("rows of results are lost: run the same command to compute them")
 
 
-def test_rows_that_cannot_be_written_at_the_end_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_cannot_be_written_at_the_end_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def write(self: Store, rows: Any, columns: Any) -> None:
         raise HapticdError("pieces: cannot be written: No space left on device")
 
@@ -255,19 +257,19 @@ def test_rows_that_cannot_be_written_at_the_end_are_told(tmp_path: Path, monkeyp
 
 
 def piece_of(folder: Path) -> Path:
-    """The largest piece."""
+    """Return the path of the largest piece."""
     return max((folder / "pieces").glob("*.parquet"), key=lambda file: file.stat().st_size)
 
 
 @pytest.mark.parametrize(
     ("damage", "why"),
     [
-        (lambda whole: whole[:100], "not a piece of a sweep, or damaged; its points are computed again"),
-        (lambda whole: b"", "not a piece of a sweep, or damaged; its points are computed again"),
-        (lambda whole: whole[:300] + bytes(50) + whole[350:], None),
+        (lambda content: content[:100], "not a piece of a sweep, or damaged; its points are computed again"),
+        (lambda content: b"", "not a piece of a sweep, or damaged; its points are computed again"),
+        (lambda content: content[:300] + bytes(50) + content[350:], None),
     ],
 )
-def test_a_damaged_piece_is_told_and_computed_again(
+def test_a_damaged_piece_is_reported_and_computed_again(
     damage: Callable[[bytes], bytes], why: str | None, tmp_path: Path
 ) -> None:
     _, store, _, _ = ran(Roots(40), tmp_path, threads())
@@ -278,7 +280,7 @@ def test_a_damaged_piece_is_told_and_computed_again(
     assert outcome.computed > 0 and store.digest() == before
 
 
-def test_a_file_of_something_else_is_left_out(tmp_path: Path) -> None:
+def test_a_foreign_parquet_file_is_left_out(tmp_path: Path) -> None:
     import pyarrow
     from pyarrow import parquet
 
@@ -287,7 +289,7 @@ def test_a_file_of_something_else_is_left_out(tmp_path: Path) -> None:
     parquet.write_table(pyarrow.table({"a": [1]}), tmp_path / "pieces" / "a.parquet")
     ids = pyarrow.table({"point": ["no identity"], "n": [1], "root": [1.0], "error": pyarrow.array([None], "string")})
     parquet.write_table(ids, tmp_path / "pieces" / "b.parquet")
-    # As another study in this folder would have it: other columns, and so not these points.
+    # A piece with other columns, as of another study in this folder.
     parquet.write_table(ids.drop_columns(["root"]), tmp_path / "pieces" / "c.parquet")
     outcome, store, notes, _ = ran(Roots(10), tmp_path, threads())
     assert (outcome.computed, store.digest()) == (0, before)
@@ -311,8 +313,8 @@ def test_an_interrupt_is_handled_once_a_piece_is_written(tmp_path: Path) -> None
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
 
-def test_what_is_ignored_stays_ignored(tmp_path: Path) -> None:
-    """As of a command that a script put in the background."""
+def test_an_ignored_signal_stays_ignored(tmp_path: Path) -> None:
+    """A script that starts a command in the background makes it ignore SIGINT."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         outcome, _, _, _ = ran(Roots(20), tmp_path, threads())
@@ -334,7 +336,7 @@ def test_a_command_that_is_ended_leaves_no_process_and_no_traceback(
     assert wrong(ended(command(study(tmp_path, 2000), tmp_path / "r"), number, after_s), number) is None
 
 
-def test_where_no_worker_comes_it_ends_with_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_worker_the_study_ends_with_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engine, "WORKER_WAIT_S", 0.2)
     with (
         scheduler() as running,
@@ -346,9 +348,9 @@ def test_where_no_worker_comes_it_ends_with_one_line(tmp_path: Path, monkeypatch
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["lock", "points.npy", "study.json"])
-def test_a_folder_of_results_with_what_is_no_regular_file_is_refused(name: str, kind: str, tmp_path: Path) -> None:
-    told = special(tmp_path / name, kind)
+def test_a_folder_of_results_needs_regular_files(name: str, kind: str, tmp_path: Path) -> None:
+    message = special(tmp_path / name, kind)
     others = {"lock": ["pieces"], "points.npy": ["pieces", "lock"], "study.json": ["pieces", "lock", "points.npy"]}
     with untouched(tmp_path, *others[name]), pytest.raises(HapticdError) as caught:
         ran(Roots(1), tmp_path, threads())
-    assert str(caught.value) == told
+    assert str(caught.value) == message

@@ -1,4 +1,4 @@
-"""What the figures of sweeps draw: asserted on the data of their axes, not on pixels."""
+"""Figures of sweeps, checked by the data of their axes instead of pixels."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def cells(axes: Axes) -> Any:
 
 
 def labelled(axes: Axes, label: str) -> np.ndarray:
-    """The data of the line of that name, (n, 2)."""
+    """Return the data of the line with this label, (n, 2)."""
     (line,) = (line for line in axes.lines if line.get_label() == label)
     return np.asarray(line.get_xydata(), dtype=float)
 
@@ -64,14 +64,14 @@ def test_a_line_over_a_map_lies_at_its_own_values() -> None:
     assert found[:, 1] == pytest.approx(0.4 * np.array(RATES))
 
 
-def test_cells_lie_about_their_values_half_way_to_the_next_as_the_axis_is_spaced() -> None:
+def test_edges_of_cells_are_half_way_between_values_on_the_axis() -> None:
     (figure,) = drawn(CROSSED, ROWS)
     (mesh,) = (each for each in figure.axes[0].collections if isinstance(each, QuadMesh))
     edges = np.asarray(mesh.get_coordinates())[0, :, 0]
     assert edges == pytest.approx(1000 * 2.0 ** np.array([-0.5, 0.5, 1.5, 2.5, 3.5]))
 
 
-def test_an_overlay_that_depends_on_y_is_refused_by_one_line() -> None:
+def test_an_overlay_that_depends_on_y_is_refused_in_one_line() -> None:
     rows = [{**row, "passive_limit_n_per_m": row[STIFFNESS]} for row in ROWS]
     with pytest.raises(
         HapticdError, match=r"overlay passive_limit_n_per_m has more than one value at servo\.rate_hz 1000"
@@ -124,7 +124,7 @@ def test_texts_have_a_color_each_in_the_order_and_with_the_words_of_the_legend()
     "keys",
     [{**MAP, "by": MASS}, {"kind": "line", "x": RATE, "y": "stability_factor", "by": MASS, "where": {STIFFNESS: 200}}],
 )
-def test_a_study_that_was_interrupted_is_drawn_as_far_as_it_is(keys: dict[str, Any]) -> None:
+def test_the_computed_points_of_an_interrupted_study_are_drawn(keys: dict[str, Any]) -> None:
     vary = {RATE: RATES, STIFFNESS: [100.0, 200.0], MASS: [0.04, 0.08]}
     row = {RATE: 4000.0, STIFFNESS: 100.0, MASS: 0.08, "stability_factor": 3.0}
     (figure,) = drawn(study_of(vary=vary, figures=[keys]), [row])
@@ -135,7 +135,7 @@ def test_a_study_that_was_interrupted_is_drawn_as_far_as_it_is(keys: dict[str, A
         assert np.argwhere(~second.mask).tolist() == [[0, 2]] and second[0, 2] == 3.0
 
 
-def test_too_many_texts_are_refused_by_one_line() -> None:
+def test_too_many_texts_are_refused_in_one_line() -> None:
     options = {"materials": ["wood"]}
     figure = {"kind": "map", "x": RATE, "y": STIFFNESS, "color": "not_displayed"}
     study = study_of(
@@ -148,7 +148,7 @@ def test_too_many_texts_are_refused_by_one_line() -> None:
     assert not any("Not displayed" in title for title in titles)
 
 
-def test_what_is_infinite_is_no_missing_result() -> None:
+def test_an_infinite_value_is_not_a_missing_result() -> None:
     rows = [{**row, "stability_factor": np.inf if row[RATE] == 8000 else 1.0 + row[RATE]} for row in ROWS]
     (figure,) = drawn(CROSSED, rows)
     axes, bar = figure.axes
@@ -159,7 +159,7 @@ def test_what_is_infinite_is_no_missing_result() -> None:
 
 
 @pytest.mark.parametrize("color", ["end", "rests"])
-def test_a_map_without_any_result_is_crosses_alone(color: str) -> None:
+def test_a_map_without_a_result_has_only_crosses(color: str) -> None:
     press = {"waypoints": [[0, 0, 0.002], [0.05, 0, -0.001]]}
     figure = {"kind": "map", "x": RATE, "y": STIFFNESS, "color": color}
     study = study_of(
@@ -170,7 +170,7 @@ def test_a_map_without_any_result_is_crosses_alone(color: str) -> None:
     assert len(labelled(found.axes[0], "no result")) == 12
 
 
-def test_drawn_points_are_dots_where_they_are() -> None:
+def test_random_points_are_dots_at_their_values() -> None:
     study = study_of(
         vary={RATE: {"low": 1000, "high": 9000}, STIFFNESS: {"low": 100, "high": 900}},
         combine="random", count=3, figures=[{**MAP, "overlay": None}],
@@ -199,7 +199,7 @@ def test_each_value_of_another_key_has_a_line_with_its_unit_in_the_legend() -> N
     assert [text.get_text() for text in legend.get_texts()] == ["40", "80"]
 
 
-def test_where_keeps_one_value_and_says_so() -> None:
+def test_the_key_where_keeps_one_value_and_is_in_the_caption() -> None:
     study = study_of(
         vary={RATE: RATES, MASS: [0.04, 0.08]}, figures=[{**LINE, "by": None, "where": {MASS: 0.08}}]
     )  # fmt: skip
@@ -222,7 +222,7 @@ BOUNDS = [
 ]
 
 
-def test_a_boundary_is_a_line_in_a_band_and_what_was_not_found_has_a_mark() -> None:
+def test_a_boundary_is_a_line_with_a_band_and_one_that_was_not_found_is_marked() -> None:
     (figure,) = drawn(REFINED, BOUNDS)
     (axes,) = figure.axes
     line = labelled(axes, "stiffness at the boundary")
@@ -245,7 +245,7 @@ def test_a_point_of_a_line_without_a_result_is_a_cross_at_the_edge() -> None:
     assert missing.get_transform() == axes.get_xaxis_transform()
 
 
-# ---- What is drawn of a study that says nothing ----------------------------------------------------------------------
+# ---- Default figures -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -257,7 +257,7 @@ def test_a_point_of_a_line_without_a_result_is_a_cross_at_the_edge() -> None:
         ({"hand": {"levels": {"light": {MASS: 0.1}, "firm": {MASS: 0.2}}}, RATE: RATES}, ("line", RATE, "hand")),
     ],
 )
-def test_a_study_that_names_no_figures_has_some_that_suit_it(vary: dict[str, Any], expected: tuple[Any, ...]) -> None:
+def test_default_figures(vary: dict[str, Any], expected: tuple[Any, ...]) -> None:
     values = [list(each["levels"]) if isinstance(each, dict) else each for each in vary.values()]
     points = [dict(zip(vary, point, strict=True)) for point in np.array(np.meshgrid(*values, indexing="ij"), object)
               .reshape(len(vary), -1).T.tolist()]  # fmt: skip
@@ -267,7 +267,7 @@ def test_a_study_that_names_no_figures_has_some_that_suit_it(vary: dict[str, Any
     first.draw()
 
 
-def test_without_a_number_that_is_varied_nothing_is_drawn() -> None:
+def test_without_a_varied_number_nothing_is_drawn() -> None:
     vary = {"hand": {"levels": {"light": {MASS: 0.1}, "firm": {MASS: 0.2}}}}
     assert drawings_of(results_of(study_of(vary=vary), [{"hand": "light"}, {"hand": "firm"}])) == []
 
@@ -276,7 +276,7 @@ def test_without_a_number_that_is_varied_nothing_is_drawn() -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "message"),
     [
         ({"kind": "pie"}, "figures[0].kind: should be 'map', 'line' or 'table'"),
         ({"kind": "map", "x": RATE, "y": STIFFNESS}, "figures[0]: kind: map needs color"),
@@ -305,22 +305,22 @@ def test_without_a_number_that_is_varied_nothing_is_drawn() -> None:
         ({"kind": "table", "best": {"error": "least"}}, "error is a text column; best needs numbers"),
     ],
 )
-def test_a_fault_of_a_figure_has_its_line(keys: dict[str, Any], told: str, tmp_path: Path) -> None:
+def test_a_fault_of_a_figure_has_its_line(keys: dict[str, Any], message: str, tmp_path: Path) -> None:
     file = tmp_path / "study.yaml"
     file.write_text(yaml.safe_dump({**CROSSED, "figures": [keys]}, sort_keys=False))
     with pytest.raises(InvalidError) as caught:
         load_sweep(file)
     (first, *_) = str(caught.value).splitlines()
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert re.match(r".*/study\.yaml:\d+:\d+: figures", first)
 
 
-def test_a_label_of_no_column_is_a_fault() -> None:
+def test_a_label_of_an_unknown_column_is_a_fault() -> None:
     with pytest.raises(InvalidError, match=r"unknown column servo\.rate; did you mean servo\.rate_hz\?"):
         load_sweep({**CROSSED, "labels": {"servo.rate": "rate"}})
 
 
-def test_figures_and_labels_do_not_change_what_a_point_is_known_by() -> None:
+def test_figures_and_labels_do_not_change_identities() -> None:
     without = {**CROSSED, "figures": [], "labels": {RATE: "ticks a second"}}
     assert (load_sweep(CROSSED).ids == load_sweep(without).ids).all()
 
@@ -339,7 +339,7 @@ def test_the_page_is_one_file_in_the_colors_of_the_screen() -> None:
     results = results_of(study, [*ROWS[:-1], {**ROWS[-1], "stability_factor": None, "error": "not known"}])
     text = page(results, drawings_of(results))
     assert "<h1>Walls &amp; hands</h1>" in text and "12 points, 1 without a result" in text
-    # Nothing is fetched: references are of the same page.
+    # The page loads no other file: all references are within the page.
     references = re.findall(r"""(?:src|href)\s*=\s*["']([^"']*)""", text) + re.findall(r"url\(([^)]*)\)", text)
     assert references and all(re.match("['\"]?(#|data:image/png;base64,)", each) for each in references)
     assert not re.search(r"<(script|link|iframe|object|embed|img)\b|@import", text)
@@ -357,17 +357,17 @@ def test_the_page_is_one_file_in_the_colors_of_the_screen() -> None:
     assert load_sweep(written).ids.tolist() == load_sweep(study).ids.tolist()
 
 
-def test_the_page_shows_the_file_of_the_study_as_it_is(tmp_path: Path) -> None:
+def test_the_page_has_the_file_of_the_study_unchanged(tmp_path: Path) -> None:
     file = tmp_path / "study.yaml"
     file.write_text("# Why: <ask me>\n" + yaml.safe_dump(CROSSED))
     manifest = load_sweep(file).manifest()
     assert manifest["source"] == file.read_text()
 
 
-def test_files_have_a_number_and_words() -> None:
+def test_file_names_have_number_and_title() -> None:
     assert file_names(drawings_of(results_of(CROSSED, ROWS))) == ["1-stability-factor-over-rate-and-stiffness.png"]
 
 
-def test_the_best_rows_are_those_that_none_beats() -> None:
+def test_the_best_rows_are_pareto_optimal() -> None:
     rows: list[dict[str, Any]] = [{"a": a, "b": b} for a, b in [(1, 5), (2, 5), (2, 7), (3, 9), (1, 4), (None, 99)]]
     assert best_of(rows, {"a": "least", "b": "most"}) == [rows[0], rows[2], rows[3]]

@@ -1,4 +1,4 @@
-"""Two documents have the same identity where they say the same, and only there."""
+"""Two documents have the same hash if and only if they have the same content."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DOCUMENTS = st.recursive(
 
 
 def normal(data: Json) -> object:
-    """What is the same number is written alike; true is no 1."""
+    """Return a document in which equal numbers are equal, and true differs from 1."""
     if isinstance(data, dict):
         return {key: normal(value) for key, value in data.items()}
     if isinstance(data, list):
@@ -39,28 +39,28 @@ def test_the_same_sum_means_the_same_document(one: Json, other: Json) -> None:
 
 @pytest.mark.long
 @given(st.dictionaries(st.text(), SCALARS, min_size=2))
-def test_the_order_of_keys_does_not_count(data: dict[str, Json]) -> None:
+def test_the_order_of_keys_has_no_effect(data: dict[str, Json]) -> None:
     turned = dict(reversed(data.items()))
     assert sum_of(data).tolist() == sum_of(turned).tolist()
 
 
-def test_a_number_is_the_same_however_it_is_written_and_true_is_none() -> None:
+def test_equal_numbers_have_equal_hashes_and_true_is_not_a_number() -> None:
     assert sum_of(1000).tolist() == sum_of(1000.0).tolist()
     assert sum_of(1).tolist() != sum_of(True).tolist()
     assert sum_of("1").tolist() != sum_of(1).tolist()
     assert sum_of(2**53 + 1).tolist() != sum_of(float(2**53)).tolist()
 
 
-def test_the_order_of_a_list_counts() -> None:
+def test_the_order_of_a_list_has_an_effect() -> None:
     assert sum_of([1, 2]).tolist() != sum_of([2, 1]).tolist()
 
 
-def test_values_at_a_path_are_summed_as_the_document_that_holds_them() -> None:
+def test_hashes_of_values_at_a_path_are_those_of_their_documents() -> None:
     values: list[Json] = [1000, 0.1, "steel", True, None]
     for value, found in zip(values, sums_at(("servo", "rate_hz"), values), strict=True):
         assert found.tolist() == sum_of({"servo": {"rate_hz": value}}).tolist()
 
 
-def test_what_stands_where_counts() -> None:
+def test_the_path_of_a_value_has_an_effect() -> None:
     assert sum_of({"a": {"b": 1}}).tolist() != sum_of({"a": 1, "b": 1}).tolist()
     assert sum_of({"a.b": 1}).tolist() != sum_of({"a": {"b": 1}}).tolist()

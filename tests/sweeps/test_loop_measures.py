@@ -1,4 +1,4 @@
-"""Energy, error of the loop and error of the onset, each against a closed form or an integrator of its own."""
+"""Energy, error of the loop and error of the onset, each compared with a closed form or a separate integrator."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from hapticd.sweeps.measures.continuous_wall import ContinuousWall, WallLoop
 from hapticd.sweeps.measures.registry import parse_measure
 from hapticd.sweeps.point import Point
 from tests.support.marks import rest_slow
+from tests.sweeps.results_of import FLOOR
 
-FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "m"}
 EXACT = {"encoder_step_m": 0, "force_step_n": 0, "coulomb_friction_n": 0, "max_force_n": 100}
 
 
@@ -46,8 +46,8 @@ def measured(name: str, given: dict[str, Any], run: Run = "simulate") -> Row:
 # ---- Energy ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_sampled_spring_gives_k_times_step_squared_a_tick_of_the_way() -> None:
-    """In by N steps s and out again: the sum of K i s s over N..1 less that over 0..N-1 is K s^2 N."""
+def test_a_sampled_spring_gives_k_times_step_squared_for_each_tick_of_the_path() -> None:
+    """In by N steps s, and out again: the sum of K i s s over i = N..1 minus that over 0..N-1 is K s^2 N."""
     step_m, steps, stiffness = 2.0**-14, 64, 500.0
     turn_s = steps / 1000
     way = {"waypoints": [[0, 0, 0], [turn_s, 0, -step_m * steps], [2 * turn_s, 0, 0], [2 * turn_s + 0.01, 0, 0.001]]}
@@ -55,8 +55,8 @@ def test_a_sampled_spring_gives_k_times_step_squared_a_tick_of_the_way() -> None
     assert found["energy_given_j"] == pytest.approx(stiffness * step_m**2 * steps, rel=1e-9)
 
 
-def test_what_the_limit_cuts_is_not_given() -> None:
-    """A wall that is cut at F from the first step on takes F s in N - 1 steps in, and gives it in N out."""
+def test_force_above_the_limit_gives_no_energy() -> None:
+    """A wall limited to F from the first step on takes F s in each of N - 1 steps in, and gives it in each of N out."""
     step_m, steps, limit_n = 2.0**-14, 64, 0.5
     turn_s = steps / 1000
     way = {"waypoints": [[0, 0, 0], [turn_s, 0, -step_m * steps], [2 * turn_s, 0, 0], [2 * turn_s + 0.01, 0, 0.001]]}
@@ -65,13 +65,13 @@ def test_what_the_limit_cuts_is_not_given() -> None:
 
 
 def test_a_wall_with_damping_that_outweighs_the_hold_gives_nothing() -> None:
-    """D > K T/2 on a way of constant speed: at every step it takes more than the hold gives."""
+    """With D > K T/2 and a constant speed, damping takes more energy at every step than the hold gives."""
     way = {"waypoints": [[0, 0, 0.001], [0.1, 0, -0.004], [0.2, 0, 0.001]]}
     found = measured("energy_given", document(500, way, material={"damping_n_s_per_m": 0.3}), "render")
     assert found["energy_given_j"] == 0.0
 
 
-def test_a_constant_push_is_no_surface() -> None:
+def test_a_constant_force_gives_no_energy() -> None:
     way = {"waypoints": [[0, 0, 0], [0.05, 0, -0.004], [0.1, 0, 0], [0.12, 0, 0.001]]}
     push = {"push": {"kind": "constant", "force_n": [0.1, -0.2]}}
     alone = measured("energy_given", document(500, way), "render")
@@ -83,13 +83,10 @@ def test_a_constant_push_is_no_surface() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_energy_of_a_closed_loop_is_what_the_cores_own_observer_counts(seed: int) -> None:
-    """With exact and prompt positions the handle's own are the reported ones."""
+def test_the_energy_of_a_closed_loop_is_that_of_the_passivity_observer(seed: int) -> None:
+    """The observer sums over reported positions, which here are exact and without delay."""
     case = draw(seed, "exact")
-    source = case.config("observe") | {
-        "servo": {"rate_hz": case.rate_hz},
-        "operator": {"waypoints": case.waypoints()},
-    }
+    source = case.config("observe") | {"servo": {"rate_hz": case.rate_hz}, "operator": {"waypoints": case.waypoints()}}
     observed = simulated(case, "observe").energy
     found = measured("energy_given", source)
     assert found["energy_given_j"] == pytest.approx(max(0.0, observed.largest_j), rel=1e-9, abs=1e-15)
@@ -99,7 +96,7 @@ def test_the_energy_of_a_closed_loop_is_what_the_cores_own_observer_counts(seed:
 
 
 def integrated(loop: WallLoop, reference: Any, speed: Any, start_m: float, times: Any) -> Any:
-    """Height and force of the continuous loop, by an integrator that knows nothing of closed forms."""
+    """Return height and force of the continuous loop by numerical integration."""
 
     def pressed(y: float, v: float) -> float:
         return max(0.0, -loop.wall_stiffness_n_per_m * y - loop.wall_damping_n_s_per_m * v) if y < 0 else 0.0
@@ -121,42 +118,44 @@ def integrated(loop: WallLoop, reference: Any, speed: Any, start_m: float, times
     rest_slow(
         [
             WallLoop(0.05, 0.2, 300.0, 5.0, 800.0, 2.0, 0.0),
-            WallLoop(0.05, 0.2, 300.0, 0.0, 2000.0, 8.0, 0.0),  # it bounces, and the damper would pull on the way out
+            WallLoop(
+                0.05, 0.2, 300.0, 0.0, 2000.0, 8.0, 0.0
+            ),  # it bounces; without the limit at 0 the damper would pull
             WallLoop(0.05, 20.0, 300.0, 5.0, 800.0, 0.0, 0.0),  # overdamped
-            WallLoop(0.04, 0.2, 0.0, 0.0, 500.0, 1.0, -0.5),  # nobody holds it, a force pushes it
-            WallLoop(0.04, 0.0, 0.0, 0.0, 500.0, 1.0, -0.5),  # and nothing damps it
+            WallLoop(0.04, 0.2, 0.0, 0.0, 500.0, 1.0, -0.5),  # a free handle that a force pushes
+            WallLoop(0.04, 0.0, 0.0, 0.0, 500.0, 1.0, -0.5),  # the same without damping
         ],
         fast=2,
     ),
 )
 @pytest.mark.parametrize("minimum_jerk", [False, True])
-def test_the_continuous_loop_is_what_an_integrator_gives(loop: WallLoop, minimum_jerk: bool) -> None:
-    """A reference of 4 mm down to -8 mm in 0.12 s, then resting."""
-    ends_s, begin, gone = 0.12, 0.004, -0.012
+def test_the_continuous_loop_agrees_with_an_integrator(loop: WallLoop, minimum_jerk: bool) -> None:
+    """The reference moves from 4 mm to -8 mm in 0.12 s, and then rests."""
+    ends_s, begin, travel = 0.12, 0.004, -0.012
 
     def reference(t: float) -> float:
         s = min(t / ends_s, 1.0)
-        return begin + gone * (s**3 * (10 - 15 * s + 6 * s * s) if minimum_jerk else s)
+        return begin + travel * (s**3 * (10 - 15 * s + 6 * s * s) if minimum_jerk else s)
 
     def speed(t: float) -> float:
         s = t / ends_s
         if s >= 1.0:
             return 0.0
-        return gone / ends_s * (30 * s * s * (1 - s) ** 2 if minimum_jerk else 1.0)
+        return travel / ends_s * (30 * s * s * (1 - s) ** 2 if minimum_jerk else 1.0)
 
     times = np.arange(1, 2500) * 1e-4
-    way = np.array([[0.0, begin], [ends_s, begin + gone]])
+    way = np.array([[0.0, begin], [ends_s, begin + travel]])
     height, force = ContinuousWall(loop, way, minimum_jerk, 0.25, 5e-5).at(times)
     expected, pressed = integrated(loop, reference, speed, begin, times)
     assert height == pytest.approx(expected, abs=1e-8)
-    # A touch that is found a rounding earlier has the damper's force, D v, a tick earlier.
+    # Rounding may shift a touch, and with it the force D v, by a tick.
     assert np.quantile(np.abs(force - pressed), 0.99) < 1e-4
 
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 10_000.0])
 @pytest.mark.parametrize("name", list(closed_loop.LOOPS))
-def test_the_error_of_the_loop_is_that_of_the_bench(name: str, rate_hz: float) -> None:
-    """Against the bench's own closed form, which has its own roots and its own search for the touch."""
+def test_the_error_of_the_loop_agrees_with_the_benchmark(name: str, rate_hz: float) -> None:
+    """The closed form of the benchmark is computed separately, with another search for the touch."""
     loop = closed_loop.LOOPS[name]
     times, height, force = closed_loop.simulated(loop, rate_hz)
     true_height, _, true_force = closed_loop.Continuous(loop).at(times)
@@ -171,7 +170,7 @@ def test_the_error_of_the_loop_is_that_of_the_bench(name: str, rate_hz: float) -
     assert found["loop_penetration_error_m"] == pytest.approx(np.abs(depth).max(), rel=1e-6)
 
 
-def test_the_error_falls_with_the_period_as_a_hold_of_order_zero_makes_it() -> None:
+def test_the_error_is_of_first_order_in_the_period() -> None:
     operator = {"waypoints": [[0, 0, 0.004], [0.12, 0, -0.008], [0.17, 0, -0.008]]}
     errors = [measured("loop_error", document(800, operator, rate_hz=rate)) for rate in (2500.0, 5000.0, 10_000.0)]
     depths = [float(each["loop_penetration_error_m"] or 0) for each in errors]
@@ -180,12 +179,12 @@ def test_the_error_falls_with_the_period_as_a_hold_of_order_zero_makes_it() -> N
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"sim": {"coulomb_friction_n": 0.1}}, "device.sim.coulomb_friction_n: 0"),
         ({"objects": {"other": {**FLOOR, "normal": [1, 0]}}}, "the scene must have one wall, has 2"),
         ({"objects": {"honey": {"kind": "viscous", "damping_n_s_per_m": 1}}}, "honey is neither"),
-        ({"material": {"friction": {"coefficient": 0.3}}}, "a wall without friction: m has one"),
+        ({"material": {"friction": {"coefficient": 0.3}}}, "a wall without friction: the material m has friction"),
         (
             {"material": {"tap": {"attack_slope_per_s": 100, "frequency_hz": 100, "decay_time_s": 0.01}}},
             "scene.display.vibration: false",
@@ -193,10 +192,10 @@ def test_the_error_falls_with_the_period_as_a_hold_of_order_zero_makes_it() -> N
         ({"operator": {"waypoints": [[0, 0, -0.001], [0.1, 0, 0.01]]}}, "begins above the wall"),
     ],
 )
-def test_a_loop_without_a_closed_form_is_told(change: dict[str, Any], told: str) -> None:
+def test_a_loop_without_a_closed_form_is_refused(change: dict[str, Any], message: str) -> None:
     operator = {"waypoints": [[0, 0, 0.004], [0.12, 0, -0.008]]}
     given = document(800, **{"operator": operator, **change}, rate_hz=10_000)
-    with pytest.raises(HapticdError, match=told):
+    with pytest.raises(HapticdError, match=message):
         measured("loop_error", given)
     with pytest.raises(HapticdError, match="run: simulate"):
         measured("loop_error", given, "render")
@@ -205,31 +204,31 @@ def test_a_loop_without_a_closed_form_is_told(change: dict[str, Any], told: str)
 # ---- The onset -------------------------------------------------------------------------------------------------------
 
 
-def test_an_onset_of_a_straight_way_is_told_exactly() -> None:
+def test_the_onset_of_a_straight_path_is_exact() -> None:
     found = measured("onset_error", document(500, {"waypoints": [[0, 0, 0.00123], [0.1, 0, -0.004]]}), "render")
     assert found["onsets"] == 1 and abs(float(found["onset_error_s"] or 0)) < 1e-12
 
 
-def test_an_onset_of_a_curved_way_is_off_by_what_a_chord_leaves_out() -> None:
-    """The minimum jerk way at 1 kHz: root of the chord between two ticks less root of the way, each found here."""
-    begin, end, lasting, rate = 0.004, -0.002, 0.1, 1000.0
+def test_the_onset_of_a_curved_path_has_the_error_of_the_chord() -> None:
+    """The error is the zero of the chord between two ticks minus the zero of the minimum-jerk path, here at 1 kHz."""
+    begin, end, duration, rate = 0.004, -0.002, 0.1, 1000.0
 
     def height(t: float) -> float:
-        s = t / lasting
+        s = t / duration
         return begin + (end - begin) * s**3 * (10 - 15 * s + 6 * s * s)
 
-    root = brentq(height, 0, lasting, xtol=1e-16)
+    root = brentq(height, 0, duration, xtol=1e-16)
     tick = math.ceil(root * rate)
     before, after = height((tick - 1) / rate), height(tick / rate)
     chord = (tick - 1 + before / (before - after)) / rate
-    operator = {"waypoints": [[0, 0, begin], [lasting, 0, end]], "interpolation": "minimum_jerk"}
+    operator = {"waypoints": [[0, 0, begin], [duration, 0, end]], "interpolation": "minimum_jerk"}
     found = measured("onset_error", document(500, operator, rate_hz=rate), "render")
     assert abs(chord - root) > 1e-7
     assert found["onset_error_s"] == pytest.approx(chord - root, abs=1e-11)
 
 
-def test_an_onset_of_a_late_report_is_late_by_the_reports_age() -> None:
-    """The crossing is the handle's own, in closed form here; what is told is 3 ms later, and a chord's."""
+def test_the_onset_of_a_delayed_report_is_late_by_the_delay() -> None:
+    """The true crossing is in closed form; the reported onset is that of the chord, 3 ms later."""
     loop = WallLoop(0.05, 0.2, 300.0, 5.0, 500.0, 0.0, 0.0)
     operator = {"waypoints": [[0, 0, 0.004], [0.12, 0, -0.008]]}
     delayed = measured("onset_error", document(500, operator, sim={"report_delay_s": 0.003}))
@@ -242,7 +241,7 @@ def test_an_onset_of_a_late_report_is_late_by_the_reports_age() -> None:
     root = brentq(height, 0, 0.11, xtol=1e-15)
     tick = math.ceil(root * 1000)
     before, after = height((tick - 1) / 1000), height(tick / 1000)
-    # The second height is beyond the touch: as far as the free way would go.
+    # The second height is below the surface, as without contact.
     assert prompt["onset_error_s"] == pytest.approx((tick - 1 + before / (before - after)) / 1000 - root, abs=1e-6)
     assert delayed["onset_error_s"] == pytest.approx(0.003 + float(prompt["onset_error_s"] or 0), abs=2e-6)
 
@@ -253,7 +252,7 @@ def test_an_onset_of_a_late_report_is_late_by_the_reports_age() -> None:
         # Along x = 2 mm from y = 20 mm down at 0.1 m/s.
         ({"kind": "disc", "center_m": [0, 0], "radius_m": 0.005}, (0.02 - math.sqrt(0.005**2 - 0.002**2)) / 0.1),
         ({"kind": "box", "center_m": [0, 0], "size_m": [0.02, 0.01]}, (0.02 - 0.005) / 0.1),
-        # A square that stands on its corner, |x| + |y| = side/sqrt 2.
+        # A square rotated by 45 degrees, |x| + |y| = side/sqrt 2.
         (
             {"kind": "box", "center_m": [0, 0], "size_m": [0.01, 0.01], "angle_rad": math.pi / 4},
             (0.02 - (0.01 / math.sqrt(2) - 0.002)) / 0.1,
@@ -266,10 +265,10 @@ def test_the_crossing_of_other_shapes(item: dict[str, Any], crossed_s: float) ->
     given["scene"] = {"objects": {"it": {**item, "material": "m"}}}
     point = Point(given, "render")
     (event,) = point.run.events[point.run.events["kind"] == EventKind.CONTACT]
-    told = int(event["tick"]) / 10_000 - float(event["before_tick_s"])
+    reported_s = int(event["tick"]) / 10_000 - float(event["before_tick_s"])
     found = measured("onset_error", given, "render")
     assert found["onsets"] == 1
-    assert found["onset_error_s"] == pytest.approx(told - crossed_s, abs=1e-12)
+    assert found["onset_error_s"] == pytest.approx(reported_s - crossed_s, abs=1e-12)
 
 
 def test_without_a_touch_there_is_no_error_and_a_membrane_is_refused() -> None:

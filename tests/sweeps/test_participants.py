@@ -1,4 +1,4 @@
-"""Simulated participants in bulk: the same sessions as one after the other, from any workers, resumable."""
+"""Many simulated participants: the same sessions as one after the other, with any workers, and resumable."""
 
 from __future__ import annotations
 
@@ -41,9 +41,7 @@ def without_clock(log: Path) -> list[Any]:
 
 
 @pytest.mark.slow
-def test_participants_in_bulk_are_those_that_are_simulated_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_participants_in_bulk_equal_single_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = study_file(tmp_path)
     many, alone = tmp_path / "many", tmp_path / "alone"
     result = ran(file, "--offline", "--participant", "simulated:A", "--count", "2", "--threads", "-o", str(many))
@@ -60,20 +58,20 @@ def test_participants_in_bulk_are_those_that_are_simulated_alone(
         assert (many / path).read_bytes() == (alone / path).read_bytes(), path
     rows = many / "sourcedata" / "simulated"
     assert main(["sweep", "show", str(rows)]) == 1
-    told = "holds sessions of simulated participants; use: hapticd experiment analyze"
-    assert capsys.readouterr().err == f"hapticd: {rows}: {told}\n"
+    message = "holds sessions of simulated participants; use: hapticd experiment analyze"
+    assert capsys.readouterr().err == f"hapticd: {rows}: {message}\n"
 
 
 @pytest.mark.slow
 def test_rows_are_the_same_bits_from_threads_and_from_processes_and_more_are_only_added(tmp_path: Path) -> None:
     file = study_file(tmp_path)
-    told = []
+    digests = []
     for name, options in (("threads", ["--threads"]), ("processes", ["--workers", "2"])):
         words = ["--offline", "--participant", "simulated:A", "--count", "3", *options, "-o", str(tmp_path / name)]
         result = ran(file, *words)
         assert result.exit_code == 0, result.output
-        told.append(result.stdout.rpartition("sha256 ")[2])
-    assert told[0] == told[1]
+        digests.append(result.stdout.rpartition("sha256 ")[2])
+    assert digests[0] == digests[1]
     words = ["--offline", "--participant", "simulated:A", "--count", "5", "--threads", "-o", str(tmp_path / "threads")]
     result = ran(file, *words)
     assert "5 participants: 2 computed" in result.stdout and "3 already existed" in result.stdout
@@ -84,7 +82,7 @@ def test_rows_are_the_same_bits_from_threads_and_from_processes_and_more_are_onl
 
 
 @pytest.mark.long
-def test_a_folder_that_was_not_finished_is_written_again_from_the_row(tmp_path: Path) -> None:
+def test_an_incomplete_session_folder_is_written_again_from_the_row(tmp_path: Path) -> None:
     file, root = study_file(tmp_path), tmp_path / "data"
     words = ["--offline", "--participant", "simulated:A", "--count", "2", "--threads", "-o", str(root)]
     assert ran(file, *words).exit_code == 0
@@ -100,8 +98,8 @@ def test_a_folder_that_was_not_finished_is_written_again_from_the_row(tmp_path: 
 
 
 @pytest.mark.long
-def test_a_folder_of_which_the_disk_may_know_nothing_is_written_again(tmp_path: Path) -> None:
-    """After a loss of power: files are there, and may be empty, but the list of those on disk does not have them."""
+def test_a_session_folder_that_may_not_be_on_disk_is_written_again(tmp_path: Path) -> None:
+    """After a power failure files may be empty, and the list of folders on disk lacks them."""
     file, root = study_file(tmp_path), tmp_path / "data"
     words = ["--offline", "--participant", "simulated:A", "--count", "2", "--threads", "-o", str(root)]
     assert ran(file, *words).exit_code == 0
@@ -117,15 +115,18 @@ def test_a_folder_of_which_the_disk_may_know_nothing_is_written_again(tmp_path: 
 
 
 @pytest.mark.long
-def test_another_session_in_the_place_of_one_is_refused_before_anything_is_computed(
+def test_a_session_of_another_study_is_refused_before_anything_is_computed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, root = study_file(tmp_path), tmp_path / "data"
     assert ran(file, "--offline", "--participant", "simulated:A000002", "-o", str(root)).exit_code == 0
     words = ["--offline", "--participant", "simulated:A", "--count", "3", "--threads", "-o", str(root)]
     assert main(["experiment", "run", file, *words]) == 1
-    told = capsys.readouterr().err
-    assert len(told.splitlines()) == 1 and f"sub-{LABELS[1]}/ses-01: belongs to another study, seed or version" in told
+    message = capsys.readouterr().err
+    assert (
+        len(message.splitlines()) == 1
+        and f"sub-{LABELS[1]}/ses-01: belongs to another study, seed or version" in message
+    )
     assert not (root / "sourcedata").exists()
 
 
@@ -133,7 +134,7 @@ def test_another_session_in_the_place_of_one_is_refused_before_anything_is_compu
     ("change", "same"),
     [({}, True), ({"seed": 2}, False), ({"session": 2}, False), ({"study": {"title": "Other"}}, False)],
 )
-def test_a_participant_is_known_by_all_that_its_session_depends_on(change: dict[str, Any], same: bool) -> None:
+def test_the_identity_of_a_participant_has_all_that_the_session_depends_on(change: dict[str, Any], same: bool) -> None:
     given: dict[str, Any] = {"session": 1, "seed": 1, "study": {}, **change}
     first = Participants(study_of(STUDY), 1, 1, LABELS)
     other = Participants(study_of({**STUDY, **given.pop("study")}), labels=LABELS, **given)
@@ -144,13 +145,13 @@ def test_a_participant_is_known_by_all_that_its_session_depends_on(change: dict[
 
 
 @pytest.mark.long
-def test_a_row_counts_what_its_log_says() -> None:
+def test_a_row_counts_the_answers_in_its_log() -> None:
     row = row_of(study_of(STUDY), LABELS[0], 1, 1)
     records = records_of(row)
     answers = [each for each in records if each["kind"] == "answer"]
     assert row["answered"] == len(answers) > 0 and records[0]["kind"] == "session_started"
     assert "clock" not in records[0] and records[-1]["at_s"] == row["duration_s"]
-    # With itself compared nothing is right: those have no correct answer.
+    # A stimulus that is compared with itself has no correct answer.
     right = [each["correct"] for each in answers if each["correct"] is not None]
     assert row["correct"] == np.mean(np.array(right, float))
     assert row == row_of(study_of(STUDY), LABELS[0], 1, 1) != row_of(study_of(STUDY), LABELS[1], 1, 1)
@@ -169,7 +170,7 @@ def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeyp
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--participant", "simulated:A", "--count", "3"], "need --offline and simulated participants"),
         (["--participant", "simulated:A", "--workers", "2"], "need --offline and simulated participants"),
@@ -184,11 +185,7 @@ def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeyp
         ),
         (
             ["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"],
-            "cannot be combined",
-        ),
-        (
-            ["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"],
-            "cannot be combined",
+            "--scheduler cannot be combined",
         ),
         (
             ["--participant", f"simulated:{'A' * 29}", "--offline", "--count", "3"],
@@ -196,14 +193,14 @@ def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeyp
         ),
     ],
 )
-def test_options_that_do_not_go_together(words: list[str], told: str, tmp_path: Path) -> None:
+def test_incompatible_options_are_refused(words: list[str], message: str, tmp_path: Path) -> None:
     result = ran(study_file(tmp_path), *words, "-o", str(tmp_path / "data"))
-    assert result.exit_code != 0 and told in f"{result.output}{result.exception}"
+    assert result.exit_code != 0 and message in f"{result.output}{result.exception}"
     assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.long
-def test_several_named_ones_may_be_side_by_side(tmp_path: Path) -> None:
+def test_several_named_participants_are_computed_in_parallel(tmp_path: Path) -> None:
     people = ["--participant", "simulated:A", "--participant", "simulated:B"]
     result = ran(study_file(tmp_path), "--offline", *people, "--threads", "-o", str(tmp_path / "data"))
     assert result.exit_code == 0 and "2 sessions written" in result.stdout

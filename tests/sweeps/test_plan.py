@@ -1,4 +1,4 @@
-"""Identities of the points of a study: of sums over its axes as of whole documents."""
+"""Identities of points: hashes from axes equal those of complete documents."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hapticd.sweeps import plan as planning
 from hapticd.sweeps.identity import sum_of
 from hapticd.sweeps.plan import Plan
 from hapticd.sweeps.study import load_sweep
+from tests.sweeps.results_of import FLOOR
 
-FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "m"}
 BASE: dict[str, Any] = {"materials": {"m": {"stiffness_n_per_m": 200}}, "scene": {"objects": {"floor": FLOOR}}}
 RATES = {"servo.rate_hz": [1000, 2000.5]}
 
@@ -33,23 +33,23 @@ def planned(vary: dict[str, Any], **keys: Any) -> Plan:
         {**RATES, "parameters.seed": [1, 2, 3], "scene.objects.floor.material": ["m", "steel"]},
     ],
 )
-def test_sums_over_axes_are_those_of_whole_documents(vary: dict[str, Any]) -> None:
+def test_hashes_from_axes_are_those_of_complete_documents(vary: dict[str, Any]) -> None:
     made = planned(vary)
     assert planning._are_independent(made.job, made.axes)
     total = len(made.axes[0].of_point)
-    whole = [sum_of(made.job.document(planning._combination(made.axes, index))) for index in range(total)]
-    assert np.array_equal(planning._document_hashes(made.job, made.axes, total), np.array(whole))
+    expected = [sum_of(made.job.document(planning._combination(made.axes, index))) for index in range(total)]
+    assert np.array_equal(planning._document_hashes(made.job, made.axes, total), np.array(expected))
     assert len(made.ids) == total
 
 
-def test_axes_that_change_the_same_are_summed_whole() -> None:
+def test_documents_of_dependent_axes_are_hashed_completely() -> None:
     made = planned({"materials.m": ["wood", "steel"], "materials.m.stiffness_n_per_m": [10, 20]})
     assert not planning._are_independent(made.job, made.axes) and len(made.ids) == 4
     documents = [made.job.document(planning._combination(made.axes, index)) for index in range(4)]
     assert [each["materials"]["m"]["stiffness_n_per_m"] for each in documents] == [10, 20, 10, 20]  # type: ignore[index, call-overload]
 
 
-def test_what_is_computed_otherwise_is_another_point() -> None:
+def test_other_input_is_another_point() -> None:
     ids = {planned(RATES).ids[0].tobytes()}
     for keys in (
         {"measure": ["stability_factor", {"displayed_error": {"material": "wood"}}]},
@@ -65,7 +65,7 @@ def test_a_title_changes_no_point() -> None:
     assert planned(RATES, title="Other").ids.tobytes() == planned(RATES).ids.tobytes()
 
 
-def test_a_piece_is_whole_after_pickling_and_its_rows_are_those_of_its_points() -> None:
+def test_a_pickled_piece_computes_the_rows_of_its_points() -> None:
     made = planned({"servo.rate_hz": [1000, 4000], "materials.m.stiffness_n_per_m": [100, 200]})
     piece = pickle.loads(pickle.dumps(made.piece(np.array([3, 0]))))
     rows = piece.rows()

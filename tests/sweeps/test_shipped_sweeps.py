@@ -1,4 +1,4 @@
-"""The sweeps that ship: found by name, listed, and with the results that they claim."""
+"""The shipped sweeps: found by name, listed, and with the results that they claim."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NAMES = ["displayed_error", "joystick_design", "wall_stability"]
 
 
 def rows_of(plan: Plan, wanted: Callable[[Row], bool]) -> list[Row]:
-    """The rows of the points whose varied values are wanted."""
+    """Compute the rows of the points whose varied values are `wanted`."""
     everything = plan.piece(np.arange(len(plan.ids)))
     found = [
         index
@@ -39,20 +39,20 @@ def test_three_sweeps_ship_each_with_a_sentence(capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_names_its_figures_and_is_known_by_its_name_alone(
+def test_each_shipped_sweep_has_figures_and_loads_by_name(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     plan = load_sweep(name)
     assert plan.job.study.figures
-    # Of what is drawn every axis has a unit, or the study's own words.
+    # Every drawn column has a unit.
     units = {column.name: column.unit for column in plan.columns}
     for figure in plan.job.study.figures:
         drawn = [figure.x, *(figure.y or ())] if figure.kind != "table" else []
         assert all(units[each] for each in drawn if each is not None)
 
 
-def test_a_name_that_is_near_is_offered(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_similar_name_is_suggested(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sweep", "run", "wall_stabilty"]) == 1
     assert "neither a file nor a shipped sweep; did you mean wall_stability?" in capsys.readouterr().err
 
@@ -60,7 +60,7 @@ def test_a_name_that_is_near_is_offered(capsys: pytest.CaptureFixture[str]) -> N
 @pytest.mark.long
 @pytest.mark.parametrize(("rate_hz", "hand"), [(1000.0, "let go"), (1000.0, "light hand")])
 def test_a_wall_below_the_line_rests_and_above_it_oscillates_with_the_handle_let_go(rate_hz: float, hand: str) -> None:
-    """The line is 2 b/T, b 0.2 N s/m, T 1 ms: 400 N/m. A light hand holds ten times that."""
+    """The line is at 2 b/T = 400 N/m, with b = 0.2 N s/m and T = 1 ms. With a light hand the limit is far higher."""
     plan = load_sweep("wall_stability")
     rows = rows_of(plan, lambda row: row["servo.rate_hz"] == rate_hz and row["hand"] == hand)
     stiffness = np.array([row["materials.surface.stiffness_n_per_m"] for row in rows], dtype=float)
@@ -72,7 +72,7 @@ def test_a_wall_below_the_line_rests_and_above_it_oscillates_with_the_handle_let
 
 
 @pytest.mark.slow
-def test_the_errors_are_as_the_study_says() -> None:
+def test_the_errors_are_those_that_the_study_claims() -> None:
     rows = rows_of(load_sweep("displayed_error"), lambda row: row["device.compensation"] == "mass")
     high = ["aluminum", "glass", "cast_iron", "steel"]
     assert max(float(row[name] or 0) for row in rows for name in high) < 0.24

@@ -1,4 +1,4 @@
-"""`hapticd sweep show` as a user has it: table, PNG, page, and what is in the way."""
+"""`hapticd sweep show`, as users call it: table, PNG, page and errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def ran(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
 
 
 @pytest.mark.long
-def test_figures_and_page_are_written_beside_the_table(
+def test_figures_and_page_are_written_in_addition_to_the_table(
     folder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page, figures = tmp_path / "page.html", tmp_path / "new" / "figures"
@@ -49,11 +49,11 @@ def test_figures_and_page_are_written_beside_the_table(
     code, _, err = ran(capsys, folder, "--html", str(page))
     assert code == 1 and err.startswith(f"hapticd: {page}: ") and len(err.splitlines()) == 1
     code, _, _ = ran(capsys, folder, "--html", str(page), "--overwrite")
-    assert code == 0 and page.read_text() == text, "the same page, whenever it is drawn"
+    assert code == 0 and page.read_text() == text, "the same page each time"
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_page_and_figures_go_to_files_alone(
+def test_page_and_figures_are_written_only_to_regular_files(
     kind: str, folder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, option, value in (
@@ -61,14 +61,14 @@ def test_a_page_and_figures_go_to_files_alone(
         ("figures/1-stability-factor-over-rate.png", "--figures", "figures"),
     ):
         (tmp_path / name).parent.mkdir(exist_ok=True)
-        told = special(tmp_path / name, kind)
+        message = special(tmp_path / name, kind)
         for overwrite in ([], ["--overwrite"]):
             with untouched(tmp_path):
                 code, out, err = ran(capsys, folder, option, str(tmp_path / value), *overwrite)
-            assert (code, out, err) == (1, "", f"hapticd: {told}\n")
+            assert (code, out, err) == (1, "", f"hapticd: {message}\n")
 
 
-def test_where_keeps_rows(folder: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_option_where_selects_rows(folder: str, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = ran(capsys, folder, "--where", "rate_hz=2000", "--where", f"{MASS}=0.08", "--json")
     (row,) = json.loads(out)["rows"]
     assert code == 0 and (row[RATE], row[MASS]) == (2000, 0.08)
@@ -77,7 +77,7 @@ def test_where_keeps_rows(folder: str, capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--where", "rate_hz"], "--where rate_hz: must be COLUMN=VALUE"),
         (["--where", "rate=1000"], "--where rate=1000: unknown column rate; known: point, device"),
@@ -85,9 +85,11 @@ def test_where_keeps_rows(folder: str, capsys: pytest.CaptureFixture[str]) -> No
         (["--html", "page.pdf"], "page.pdf: must end in .html"),
     ],
 )
-def test_a_mistake_is_one_line(words: list[str], told: str, folder: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_usage_error_is_one_line(
+    words: list[str], message: str, folder: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, out, err = ran(capsys, folder, *words)
-    assert code == 1 and out == "" and told in err and len(err.splitlines()) == 1, err
+    assert code == 1 and out == "" and message in err and len(err.splitlines()) == 1, err
 
 
 def test_without_matplotlib_one_line_says_what_is_missing(
@@ -124,7 +126,7 @@ def test_before_a_point_is_computed_nothing_is_drawn(
 
 @pytest.mark.long
 def test_a_study_whose_points_have_no_result_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every point is a fault: a map of crosses, no traceback."""
+    """Every point has an error: the map has only crosses."""
     keys = {"vary": {RATE: [1000, 2000], STIFFNESS: [100, 200]}, "measure": [{"displayed_error": {"material": "m"}}]}
     figure = {"kind": "map", "x": RATE, "y": STIFFNESS, "color": "displayed_error"}
     file, results = tmp_path / "study.yaml", str(tmp_path / "results")

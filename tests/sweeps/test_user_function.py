@@ -1,4 +1,4 @@
-"""Functions of the user's as measures: what they are given and give, and what becomes of those that fail."""
+"""User functions as measures: arguments, return values and failures."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def sleeps(point):
 
 
 def in_c(point):
-    # Holds the interpreter's lock, in code that never comes back.
+    # Holds the interpreter lock in C code that never returns.
     ctypes.PyDLL(None).pause()
 
 
@@ -126,7 +126,7 @@ BASE: dict[str, Any] = {
 
 
 @pytest.fixture(autouse=True)
-def _there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.py").write_text(MODULE)
     monkeypatch.chdir(tmp_path)
 
@@ -142,7 +142,7 @@ def rows(found: Plan) -> list[dict[str, Any]]:
 
 
 def error(name: str, columns: dict[str, str] | None = None, **options: Any) -> str:
-    """What the row of a point says, of which the function has nothing."""
+    """Return the error in the row of a point at which the function fails."""
     (row,) = rows(planned(name, columns, vary=None, options=options))
     measured = columns or {"x": ""}
     assert all(row[column] is None for column in measured)
@@ -150,7 +150,7 @@ def error(name: str, columns: dict[str, str] | None = None, **options: Any) -> s
     return str(row["error"])
 
 
-def test_a_function_is_given_the_point_and_gives_columns() -> None:
+def test_a_function_gets_the_point_and_returns_columns() -> None:
     columns = {"own_peak_n": "N", "deep": "boolean", "ticks": "integer", "who": "text"}
     options = {"call": "mine:peak", "columns": columns}
     found = planned("peak", columns, measure=["peak_force_n", {"function": options}], parameters={"who": "me"})
@@ -176,12 +176,12 @@ def test_a_study_without_a_run_gives_a_function_no_samples(tmp_path: Path) -> No
     assert [row["x"] for row in rows(planned("what", {"x": "boolean"}))] == [False, False]
 
 
-def test_what_a_function_prints_disturbs_nothing_and_it_has_no_input() -> None:
+def test_a_function_may_print_and_has_no_input() -> None:
     assert [row["x"] for row in rows(planned("prints"))] == [1.5, 1.5]
 
 
 @pytest.mark.parametrize(
-    ("name", "columns", "told"),
+    ("name", "columns", "message"),
     rest_slow(
         [
             ("raises", None, "mine:raises: raised ValueError: not this one (mine.py, line 21)"),
@@ -202,15 +202,15 @@ def test_what_a_function_prints_disturbs_nothing_and_it_has_no_input() -> None:
         fast=5,
     ),
 )
-def test_what_a_function_does_wrong_is_the_rows_error(name: str, columns: dict[str, str] | None, told: str) -> None:
+def test_a_fault_of_a_function_is_the_error_of_the_row(name: str, columns: dict[str, str] | None, message: str) -> None:
     if name == "alone":
         text = Path("mine.py").read_text().replace('point.config["servo"]["rate_hz"] / 1000', "10.0")
         Path("mine.py").write_text(text)
-    assert error(name, columns) == told
+    assert error(name, columns) == message
 
 
 @pytest.mark.parametrize("name", rest_slow(["in_c", "spins", "sleeps", "deaf"]))
-def test_a_function_that_hangs_is_ended_and_the_next_point_goes_on(name: str) -> None:
+def test_a_function_that_hangs_is_killed_and_the_next_point_is_computed(name: str) -> None:
     text = f"{MODULE}\n\ndef some(point):\n    return {name}(point) if point.parameters['n'] == 1 else os.getpid()\n"
     Path("mine.py").write_text(text)
     found = rows(planned("some", {"x": "integer"}, vary={"parameters.n": [0, 1, 2]}, options={"timeout_s": 2}))
@@ -230,7 +230,7 @@ def test_one_process_serves_all_points_of_a_thread(tmp_path: Path) -> None:
     assert len(pids) == 1 and os.getpid() not in pids
 
 
-def test_a_thread_keeps_the_processes_of_the_functions_that_it_used_last(tmp_path: Path) -> None:
+def test_a_thread_keeps_the_processes_of_its_last_functions(tmp_path: Path) -> None:
     pids = []
     for n in (0, 1, 2, 3, 4, 4):
         (tmp_path / "mine.py").write_text(f"import os\n\n\ndef who(point):\n    return os.getpid() + 0 * {n}\n")
@@ -241,8 +241,8 @@ def test_a_thread_keeps_the_processes_of_the_functions_that_it_used_last(tmp_pat
         os.kill(pids[0], 0)
 
 
-def test_a_function_ends_with_the_process_that_asked_even_where_that_is_killed(tmp_path: Path) -> None:
-    """The asking process is killed in the midst of a call, of which nobody is left to end it."""
+def test_a_function_ends_even_if_its_calling_process_is_killed(tmp_path: Path) -> None:
+    """The calling process is killed during a call."""
     (tmp_path / "mine.py").write_text(
         dedent("""
         import os
@@ -275,7 +275,7 @@ def test_a_function_ends_with_the_process_that_asked_even_where_that_is_killed(t
         descriptor = os.pidfd_open(int((tmp_path / "pid").read_text()))
         asking.send_signal(signal.SIGKILL)
         asking.wait()
-        assert select.select([descriptor], [], [], 30)[0], "it goes on"
+        assert select.select([descriptor], [], [], 30)[0], "the function still runs"
     finally:
         asking.kill()
         if descriptor >= 0:
@@ -283,7 +283,7 @@ def test_a_function_ends_with_the_process_that_asked_even_where_that_is_killed(t
 
 
 @pytest.mark.parametrize(
-    ("options", "place", "told"),
+    ("options", "place", "message"),
     [
         ("call: 'mine:peek', columns: {x: ''}", "call", "mine has no function peek; did you mean peak?"),
         ("call: 'mine:not_callable', columns: {x: ''}", "call", "mine:not_callable is not a function, but a int"),
@@ -299,8 +299,8 @@ def test_a_function_ends_with_the_process_that_asked_even_where_that_is_killed(t
         ("call: 'mine:peak', columns: {x: ''}, time: 1", "time", "unknown key"),
     ],
 )  # fmt: skip
-def test_a_faulty_function_is_told_with_its_place_before_anything_is_computed(
-    options: str, place: str, told: str, tmp_path: Path
+def test_a_faulty_function_is_reported_with_its_line_before_anything_is_computed(
+    options: str, place: str, message: str, tmp_path: Path
 ) -> None:
     (tmp_path / "broken.py").write_text("x = 1\ny = (\n")
     (tmp_path / "needs.py").write_text("import no_such_thing\n")
@@ -309,23 +309,23 @@ def test_a_faulty_function_is_told_with_its_place_before_anything_is_computed(
     with pytest.raises(InvalidError) as caught:
         load_sweep(file)
     lines = str(caught.value).splitlines()
-    found = [line for line in lines if told in line]
+    found = [line for line in lines if message in line]
     assert found and f"{file}:4:" in found[0] and f"measure[1].function{'.' if place else ''}{place}" in found[0]
 
 
-def test_two_columns_of_one_name_are_told() -> None:
+def test_two_columns_with_one_name_are_refused() -> None:
     with pytest.raises(InvalidError, match="duplicate column peak_force_n; give one of them another name"):
         planned("peak", measure=["peak_force_n", {"function": {"call": "mine:peak", "columns": {"peak_force_n": "N"}}}])
 
 
-def test_a_module_that_is_not_loaded_in_time_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_module_that_is_not_loaded_in_time_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.py").write_text("import time\ntime.sleep(1e6)\n")
     monkeypatch.setattr(function_process, "MODULE_LOAD_TIMEOUT_S", 1.0)
     with pytest.raises(InvalidError, match="its module was not loaded within 1 s"):
         planned("peak")
 
 
-def test_a_function_is_known_by_its_source_not_by_its_place_or_its_patience(tmp_path: Path) -> None:
+def test_the_identity_of_a_function_is_its_source_not_its_path_or_time_out(tmp_path: Path) -> None:
     first = planned("alone")
     assert np.array_equal(planned("alone", options={"timeout_s": 7}).ids, first.ids)
     elsewhere = tmp_path / "elsewhere"
@@ -338,13 +338,13 @@ def test_a_function_is_known_by_its_source_not_by_its_place_or_its_patience(tmp_
     assert not set(planned("none").ids.tolist()) & set(first.ids.tolist())
 
 
-def test_other_measures_are_known_by_all_of_their_options() -> None:
+def test_the_identity_of_other_measures_has_all_their_options() -> None:
     given: dict[str, Any] = {"quantile": {"field": "force_n", "q": 0.5}}
     assert identity_of("end") == "end" and identity_of(given) == given
     assert not np.array_equal(sum_of(identity_of(given)), sum_of(identity_of({"quantile": {"q": 0.5}})))
 
 
-def test_the_source_goes_with_the_piece_to_where_the_file_is_not(tmp_path: Path) -> None:
+def test_a_piece_contains_the_source_of_the_function(tmp_path: Path) -> None:
     found = planned("alone")
     (tmp_path / "mine.py").unlink()
     assert [row["x"] for row in rows(found)] == [1.0, 2.0]
@@ -405,7 +405,7 @@ def test_a_study_with_functions_that_fail_and_hang_ends_with_a_row_each(threads:
             assert square == n * n and not isinstance(why, str)
 
 
-def test_a_value_is_refused_where_the_machine_has_no_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_point_is_a_row_if_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
     found = planned("alone", vary=None)
 
     def refused(*_: Any, **__: Any) -> None:

@@ -1,4 +1,4 @@
-"""The version that a worker is asked for says all that its results depend on."""
+"""The code version covers all files that results depend on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Work whose result is known, for tests of the engine; workers import it."""
+"""A study with a known result, for tests of the engine; workers import this module."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ COLUMNS = (
 Fault: TypeAlias = Literal["none", "exits", "raises", "eats", "is killed", "has no memory"]
 BAD = 13
 """The point with a fault."""
-_MEAL, _MOST = 1 << 25, 1 << 32
-"""Bytes; what is eaten at once, and in all."""
+_ALLOCATED_BYTES, _MAX_ALLOCATED_BYTES = 1 << 25, 1 << 32
+"""Memory that the fault `eats` allocates at a time, and in total."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,15 @@ class RootsPiece:
     numbers: tuple[int, ...]
     fault: Fault
     log: str | None
-    """A file that gets a line for each piece that is begun."""
+    """File that gets a line with the numbers of each piece."""
     busy_s: float
-    """Processor time of each number, besides."""
+    """Additional processor time of each number."""
 
     def __len__(self) -> int:
         return len(self.numbers)
 
     def rows(self) -> list[Row]:
-        """A row each; the faulty number ends its process, or raises what nobody expects."""
+        """Return a row for each number. The number BAD ends its process or raises an exception."""
         if self.log is not None:
             with Path(self.log).open("a") as file:
                 file.write(" ".join(map(str, self.numbers)) + "\n")
@@ -63,19 +63,19 @@ def _fail(fault: Fault) -> None:
         case "raises":
             raise LookupError("nobody\nexpects this")
         case "is killed":
-            os.kill(os.getpid(), signal.SIGKILL)  # as the kernel does where memory ends
+            os.kill(os.getpid(), signal.SIGKILL)  # as the kernel does when memory is exhausted
         case "has no memory":
             raise MemoryError("Unable to allocate 8.00 TiB")
         case "eats":
-            # All that it may have, slower than dask looks.
-            eaten = []
-            while len(eaten) * _MEAL < _MOST:
-                eaten.append(b"x" * _MEAL)
+            # Slowly, so that dask notices the growing memory.
+            allocated = []
+            while len(allocated) * _ALLOCATED_BYTES < _MAX_ALLOCATED_BYTES:
+                allocated.append(b"x" * _ALLOCATED_BYTES)
                 sleep(0.05)
 
 
 def id_of(number: int) -> bytes:
-    """The identity of a number: spread, so that the order of points is not that of numbers."""
+    """Return the identity of a number. The order of identities differs from that of numbers."""
     return (number * 0x9E3779B97F4A7C15 % 2**128).to_bytes(16, "big")
 
 
@@ -92,13 +92,13 @@ class Roots:
 
     @property
     def ids(self) -> npt.NDArray[np.void]:
-        """(count,) of ID_DTYPE."""
+        """The identities of the numbers, (count,) ID_DTYPE."""
         return np.frombuffer(b"".join(map(id_of, range(self.count))), ID_DTYPE)
 
     def piece(self, indices: npt.NDArray[np.int64]) -> RootsPiece:
-        """The numbers at these indices."""
+        """Return the piece with the numbers at these indices."""
         return RootsPiece(tuple(indices.tolist()), self.fault, self.log, self.busy_s)
 
     def manifest(self) -> dict[str, Json]:
-        """Of a study without keys."""
+        """Return the members of study.json for a study without keys."""
         return {"kind": "sweep", "study": {}, "seed": 0}

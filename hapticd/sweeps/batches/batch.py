@@ -1,7 +1,7 @@
 """A batch as a study of the engine: each point is a fit, identified by its recordings, its options and the code.
 
-The column `found` of a row holds the result of the fit as JSON: the keys of the material, provenance and report. So
-materials are made from rows, without reading recordings again. Workers read recordings from the same paths.
+The column `found` of a row holds the result of the fit as JSON: the keys of the material, provenance and plots. So
+materials are made from rows, without reading recordings again. Workers read the recordings at the same paths.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def fitted_row(root: str, recordings: RecordingSet) -> Row:
     names = [file.name for file in recordings.files]
     used, _, fitted = fitted_files(names, recordings.kind, recordings.options, lambda _: None, recordings.strict, root)
     part = contribution_of(recordings.kind, fitted, used)
-    # Figures that are invalid for a material are refused here, so that the error belongs to this fit.
+    # Values that are invalid in a material are refused here, so that the error belongs to this fit.
     added(part, recordings.material, datetime.date.min, onto=None, stiffness_n_per_m=recordings.stiffness_n_per_m)
     found = {
         "figures": plain(dict(part.figures)),
@@ -150,13 +150,13 @@ class Batch:
         return bytes(self.ids[index].tobytes()).hex()
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of the batch's study.json (see `sweeps/store.py`) other than title and columns."""
+        """Return the members of study.json (see `sweeps/store.py`) other than title, columns and versions."""
         path = os.fsencode(self.tree.path).decode(errors="backslashreplace")
         return {"kind": "batch", "study": {"tree": path}, "seed": 0}
 
 
 def _document(recordings: RecordingSet) -> dict[str, Json]:
-    """Return the document whose hash identifies a fit; it omits the option of a given stiffness, which changes none."""
+    """Return the document whose hash identifies a fit. `stiffness_n_per_m`, which no fit uses, is omitted."""
     options: Sequence[tuple[str, Json]] = list(dataclasses.asdict(recordings.options).items())
     return {
         "kind": recordings.kind,

@@ -26,11 +26,13 @@ from hapticd.sweeps.batches.ranking import MaterialResult
 from hapticd.sweeps.store import STUDY_FILE
 
 _DATE_ENTRY: Final = re.compile(r'date: "\d{4}-\d{2}-\d{2}"')
-"""The date of a fit in a material's file."""
+"""Pattern of the date of a fit in a material's file."""
+_MAX_SHOWN_NAMES: Final = 3
+"""Maximum number of file names in a line of text."""
 
 
 def check_folder(folder: Path, tree: str) -> None:
-    """Raise HapticdError if results must not go to `folder`: it is in the tree, or holds files but no results."""
+    """Raise HapticdError if results must not go to `folder`: a path in the tree, a file, or a folder of other files."""
     inside, above = os.path.realpath(folder), os.path.realpath(tree)
     if os.path.commonpath([inside, above]) == above:
         raise HapticdError(f"{folder}: is inside the tree of recordings; give a folder outside of it with -o")
@@ -43,8 +45,8 @@ def check_folder(folder: Path, tree: str) -> None:
 def write_materials(folder: Path, results: Iterable[MaterialResult]) -> tuple[dict[str, str], list[str]]:
     """Write a YAML file for each material of which at least one fit was not refused.
 
-    Returns a mapping from the name of a material to the path of its file, and the paths of files that remain from
-    earlier batches. A file that would change only in the date is kept. Raises HapticdError.
+    Returns the path of each file by the name of the material, and the paths of files that remain from earlier batches.
+    A file that would change only in the date is kept. Raises HapticdError if a file cannot be written.
     """
     target = folder / "materials"
     try:
@@ -100,7 +102,7 @@ def _write(path: Path, heads: Sequence[str], rows: Sequence[Sequence[object]]) -
     write_atomically(str(path), text.getvalue(), overwrite=True)
 
 
-def shown_files(names: Sequence[str], most: int = 3) -> str:
-    """Return the first `most` names and the number of the others, as one line of text."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(map(printable, names[:most])) + more
+def shown_files(names: Sequence[str]) -> str:
+    """Return the first _MAX_SHOWN_NAMES names and the number of the others, as one line of text."""
+    more = f" and {len(names) - _MAX_SHOWN_NAMES} more" if len(names) > _MAX_SHOWN_NAMES else ""
+    return ", ".join(map(printable, names[:_MAX_SHOWN_NAMES])) + more

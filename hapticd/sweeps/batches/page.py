@@ -19,14 +19,7 @@ from hapticd.base import html_page, wording
 from hapticd.base.files import check_regular, write_atomically
 from hapticd.config.schema import unit_of
 from hapticd.fit.recording import Kind
-from hapticd.fit.report import (
-    Curve,
-    Panel,
-    fit_page,
-    html_figures,
-    html_picture,
-    html_warnings,
-)
+from hapticd.fit.report import Curve, Panel, fit_page, html_figures, html_picture, html_warnings
 from hapticd.sweeps.batches.batch import Quality
 from hapticd.sweeps.batches.ranking import FitResult, MaterialResult, counts
 from hapticd.sweeps.worker_check import code_version
@@ -41,7 +34,7 @@ COMPARED_FIGURES: Final[Mapping[Kind, tuple[str, ...]]] = {
 QUALITY_COLORS: Final[Mapping[Quality, str]] = {"good": "C2", "fair": "C1", "poor": "C3", "refused": "C7"}
 """matplotlib's color for each verdict."""
 MAX_INTERVAL_RATIO: Final = 1.5
-"""Confidence intervals are cut at 1.5 times the largest value of a plot."""
+"""Confidence intervals in a plot are cut at 1.5 times the largest estimate in the plot."""
 
 
 def write_page(
@@ -62,8 +55,8 @@ def write_page(
         drawn: Whether to draw plots.
         note: Is called with a line of text when drawing begins.
 
-    An existing page of the same content is kept, since drawing takes longer than everything else if all fits are done.
-    Raises HapticdError.
+    An existing page with the same content is kept, since drawing it again would take long. Raises HapticdError if the
+    page cannot be written.
     """
     path = folder / "report.html"
     check_regular(path)
@@ -175,19 +168,19 @@ def _over_ranks(kind: Kind, name: str, fits: Sequence[tuple[int, FitResult]]) ->
     ]
     if len(found) < 2:
         return None
-    most = MAX_INTERVAL_RATIO * max(abs(each.value) for _, _, each in found)
-    curves = tuple(
-        _dots(quality, [(rank, each) for rank, its, each in found if its == quality], most)
-        for quality in QUALITY_COLORS
-        if any(its == quality for _, its, _ in found)
-    )
+    limit = MAX_INTERVAL_RATIO * max(abs(each.value) for _, _, each in found)
+    by_quality = {
+        quality: [(rank, each) for rank, other, each in found if other == quality] for quality in QUALITY_COLORS
+    }
+    curves = tuple(_dots(quality, dots, limit) for quality, dots in by_quality.items() if dots)
     return Panel(f"{kind}: {name}", "rank", unit_of(name) or "", curves, counted=True)
 
 
-def _dots(quality: Quality, found: Sequence[tuple[int, Estimate]], most: float) -> Curve:
+def _dots(quality: Quality, found: Sequence[tuple[int, Estimate]], limit: float) -> Curve:
     ranks = np.array([rank for rank, _ in found], dtype=np.float64)
     values, low, high = (
         np.array([getattr(each, name) for _, each in found], dtype=np.float64) for name in ("value", "low", "high")
     )
-    ends = (np.clip(np.nan_to_num(low, nan=-most), -most, most), np.clip(np.nan_to_num(high, nan=most), -most, most))
-    return Curve(quality, ranks, values, points=True, color=QUALITY_COLORS[quality], low=ends[0], high=ends[1])
+    low = np.clip(np.nan_to_num(low, nan=-limit), -limit, limit)
+    high = np.clip(np.nan_to_num(high, nan=limit), -limit, limit)
+    return Curve(quality, ranks, values, points=True, color=QUALITY_COLORS[quality], low=low, high=high)

@@ -63,7 +63,7 @@ class MaterialResult:
     """The worst verdict on a fit of the material."""
     fits: tuple[FitResult, ...]
     material: Material | None
-    """The material that all fits which were not refused are merged into; None if every fit was refused."""
+    """The material from all fits that were not refused; None if every fit was refused."""
     notes: tuple[str, ...]
 
     @property
@@ -125,7 +125,7 @@ def _number(value: float | None) -> float:
 
 
 def _material(name: str, fits: Sequence[FitResult], root: str, day: datetime.date) -> MaterialResult:
-    """Return the material into which its fits are merged, one after the other, as `hapticd fit --merge` does."""
+    """Merge the fits of a material one after the other, as `hapticd fit --merge` does."""
     material: Material | None = None
     assumed: float | None = None
     notes: list[str] = []
@@ -157,7 +157,7 @@ def _material(name: str, fits: Sequence[FitResult], root: str, day: datetime.dat
 
 
 def _with_folder(origin: Mapping[str, object], root: str) -> dict[str, object]:
-    """Return the provenance `origin` with `root` (the tree's path) in front of the paths of its recordings."""
+    """Return the provenance `origin` of a fit with the paths of its recordings below `root`, the path of the tree."""
     files = origin["files"]
     assert isinstance(files, list)
     above = os.fsencode(root).decode(errors="backslashreplace")

@@ -137,8 +137,8 @@ class _Reader:
     others: list[str] = field(default_factory=list)
     fitted_kinds: dict[str, set[Kind]] = field(default_factory=lambda: defaultdict(set))
     """For each folder, the kinds of the fits whose recordings are in it and below."""
-    sets_kind: set[str] = field(default_factory=set)
-    """Folders whose fit.yaml may set `kind`: each material's folder with recordings directly in it, and the tree."""
+    may_set_kind: set[str] = field(default_factory=set)
+    """Folders whose fit.yaml may set `kind`: the tree, and each material's folder with recordings directly in it."""
 
     def fault(self, name: str, text: str) -> None:
         self.problems.append(Problem(printable(os.path.join(self.root, name) if name else self.root), text))
@@ -213,7 +213,7 @@ class _Reader:
         kinds: dict[Kind, _Level] = {}
         if own.recordings:
             kind = _merged(root, own).kind
-            self.sets_kind |= {"", name}
+            self.may_set_kind |= {"", name}
             if kind is None and not (own.faulty or root.faulty):
                 self.fault(
                     name,
@@ -235,8 +235,7 @@ class _Reader:
                 self.fault(folder, f"holds no recordings ({', '.join(TABLE_READERS)})")
             elif last in kinds:
                 self.fault(
-                    folder,
-                    f"has the same kind as the recordings in {printable(name)} itself; put them into one folder",
+                    folder, f"has the same kind as the recordings in {printable(name)} itself; put them into one folder"
                 )
             else:
                 kinds[last] = below
@@ -303,7 +302,7 @@ class _Reader:
             if level.name.count(os.sep) == 1:
                 if level.yaml.folder.kind not in (None, last):
                     self.problems.append(level.yaml.problem(key, f"must be {last}, the name of the folder"))
-            elif level.name not in self.sets_kind:
+            elif level.name not in self.may_set_kind:
                 text = "only for recordings directly in the folder of a material, which do not exist here"
                 self.problems.append(level.yaml.problem(key, text))
 

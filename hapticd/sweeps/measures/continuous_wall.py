@@ -28,10 +28,12 @@ Floats = npt.NDArray[np.float64]
 _MAX_BISECTIONS: Final = 80
 """Maximum number of bisections for the time of an event; fewer suffice for the last bit of a float."""
 _MAX_SEGMENTS: Final = 100_000
-"""A motion with more segments is refused: it would touch and leave the wall without end."""
+"""A motion with more segments is refused, since it touches and leaves the wall without end."""
 _MINIMUM_JERK_COEFFICIENTS: Final = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
-"""Minimum-jerk motion (Flash and Hogan 1985): coefficients of the distance as a polynomial in time, from the lowest
-power up; both are fractions between two waypoints."""
+"""Polynomial of minimum-jerk motion between two waypoints, from the lowest power up (Flash and Hogan 1985).
+
+It maps the fraction of the time to the fraction of the distance.
+"""
 
 
 @dataclass(frozen=True, slots=True)

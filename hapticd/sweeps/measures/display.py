@@ -22,8 +22,8 @@ class DisplayedErrorOptions(Model):
 class DisplayedError:
     """RMS difference of the handle's acceleration and the tap's waveform, as a fraction of the RMS of the waveform.
 
-    It is computed from 30 Hz to 0.4 of the servo rate (docs/accuracy.md), for a tap that begins at a tick while nothing
-    is touched. It is None if the frequency of the mode is too high for the rate of the servo or the link.
+    The error is computed from 30 Hz to 0.4 of the servo rate (docs/accuracy.md), for a tap that begins at a tick while
+    nothing is touched. It is None if the frequency of the mode is too high for the rate of the servo or the link.
     """
 
     needs_run = False

@@ -18,7 +18,7 @@ from hapticd.sweeps.point import Point
 
 Floats = npt.NDArray[np.float64]
 _PERIOD_TOLERANCE: Final = 1e-9
-"""Tolerance, in periods, within which the age of positions is rounded to an integer."""
+"""Tolerance in periods: an age of positions that exceeds an integer by at most this is not rounded up."""
 
 
 def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], max_gap_ticks: int = 0) -> float:
@@ -42,7 +42,7 @@ def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_],
 
 
 class EnergyGiven:
-    """The largest net energy that the surfaces had given to the hand at any time of one contact.
+    """The largest net energy, in J, that surfaces had given to the hand at any time of one contact.
 
     The energy is the sum of f.(x' - x) over ticks. f is the commanded force of the touched objects after the force
     limit, without vibration. x is the true position of the handle, or in the open loop the position on the hand's path.

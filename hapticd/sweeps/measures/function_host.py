@@ -26,7 +26,7 @@ _MAX_ERROR_CHARACTERS: Final = 500
 
 
 def serve() -> None:
-    """Load the user's function, then call it for each point that the pipe delivers, until the pipe is closed.
+    """Load the user's function, then call the function for each point from the pipe, until the pipe is closed.
 
     The system kills the process when the thread that started it ends, even during a call.
     """

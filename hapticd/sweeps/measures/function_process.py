@@ -30,7 +30,7 @@ from hapticd.sweeps.measures.sweep_point import SweepPoint
 MODULE_LOAD_TIMEOUT_S: Final = 60.0
 """Time-out in s for starting Python and loading the module."""
 _MAX_PROCESSES_PER_THREAD: Final = 4
-"""Maximum number of function processes of a thread; beyond it, the least recently used process is ended."""
+"""Maximum number of function processes of a thread; the least recently used process is ended to start another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class FunctionProcess:
     """A process that calls one user's function. Only the thread that created the process may use it."""
 
     def __init__(self, function: Function) -> None:
-        """Start a process for a function. Raises HapticdError (one line) if its module cannot be loaded or lacks it."""
+        """Start a process for a function. Raises HapticdError (one line) if the module cannot be loaded or lacks it."""
         self.function = function
         program = (
             f"import sys; sys.path[:] = {sys.path!r}; from hapticd.sweeps.measures.function_host import serve; serve()"

@@ -21,7 +21,7 @@ _KIND_TEXTS: Final[Mapping[Kind, str]] = {
 
 
 def values_of(returned: object, kinds: Mapping[str, Kind]) -> dict[str, Value]:
-    """Return the values that a user's function returned, by column, as plain Python objects.
+    """Return the value of each column from the return value of a user's function, as plain Python objects.
 
     A function with a single column may return its value instead of a mapping. None stands for a missing value. Raises
     HapticdError for columns that are missing or not declared, and for values of a wrong kind.

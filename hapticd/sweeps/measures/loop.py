@@ -1,4 +1,4 @@
-"""The error of the sampled loop relative to the continuous loop, in closed form (docs/accuracy.md, The closed loop)."""
+"""The error of the sampled loop relative to the continuous loop in closed form (docs/accuracy.md, The closed loop)."""
 
 from __future__ import annotations
 
@@ -90,5 +90,5 @@ def _the_wall(point: Point) -> tuple[Wall, Material, np.ndarray[tuple[int], np.d
     material = config.materials[walls[0].material]
     for key in ("friction", "texture"):
         if getattr(material, key) is not None:
-            raise HapticdError(f"loop_error needs a wall without {key}: {walls[0].material} has one")
+            raise HapticdError(f"loop_error needs a wall without {key}: the material {walls[0].material} has {key}")
     return walls[0], material, push

@@ -10,7 +10,7 @@ from hapticd.sweeps.point import Point
 
 
 class StabilityFactor:
-    """The largest factor by which all stiffnesses can be multiplied so that stability in every hand is still proved.
+    """The largest factor by which all stiffnesses can grow while stability in every hand is still proved.
 
     Below 1 the scene is not proved stable. The value is None if the scene has no surfaces.
     """

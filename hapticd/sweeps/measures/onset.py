@@ -20,7 +20,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Trajectory: TypeAlias = Callable[[Floats], Floats]
 """A function of times in s, (n,), that returns positions in m, (n, 2)."""
 _CROSSING_BISECTIONS: Final = 60
-"""Bisections of a period after which the time of a crossing is exact to the last bit of a float."""
+"""Number of bisections of a period; the time of a crossing is then exact to the last bit of a float."""
 
 
 class OnsetError:
@@ -70,7 +70,7 @@ class OnsetError:
 
 
 def _crossings(item: SceneObject, time_s: Floats, positions: Floats, trajectory: Trajectory) -> Floats:
-    """Return the times in s at which the probe enters an object, in tick periods that begin outside and end inside."""
+    """Return the times in s at which the probe enters an object, being outside at one tick and inside at the next."""
     height = _height_of(item, positions)
     into = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0))
     low, high = time_s[into], time_s[into + 1]

@@ -21,9 +21,9 @@ class PassiveLimit:
     """The stiffness K = (b - |D|) / (T/2 + t_d) in N/m.
 
     b is the damping of the handle, D that of the wall, T the servo's period and t_d the age of the positions. A wall
-    with a lower stiffness oscillates in no passive hand if positions are exact (Colgate and Schenkel, J. Robotic
-    Systems 14, 1997). The limit is 0 if |D| is at least b. If position reports, ticks and force frames have different
-    rates, a time called reach (docs/stability.md) replaces T/2 + t_d.
+    with a lower stiffness does not oscillate in any passive hand if positions are exact (Colgate and Schenkel, J.
+    Robotic Systems 14, 1997). The limit is 0 if |D| is at least b. If position reports, ticks and force frames have
+    different rates, the time called reach (docs/stability.md) replaces T/2 + t_d.
     """
 
     columns = (

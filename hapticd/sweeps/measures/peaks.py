@@ -18,7 +18,7 @@ class PeakForce:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Measure over all ticks of the run."""
+        """Return the largest force of all ticks of the run."""
         return {"peak_force_n": float(np.hypot(*point.run.samples["force_n"].T).max())}
 
 
@@ -31,7 +31,7 @@ class PeakSpeed:
     def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
-        """Measure over all ticks of the run."""
+        """Return the largest speed of all ticks of the run."""
         run = point.run
         velocity = run.samples["velocity_m_per_s"] if run.truth is None else run.truth[:, 2:]
         return {"peak_speed_m_per_s": float(np.hypot(*velocity.T).max())}

@@ -58,7 +58,7 @@ def parse_measure(given: str | Mapping[str, Json]) -> Measure:
             raise InvalidError([Problem(path_text((name,)), "must be a mapping of options")])
         options = found
     else:
-        raise InvalidError([Problem("", f"must be a name, or one name with its options, has {len(given)} keys")])
+        raise InvalidError([Problem("", f"must be a name or {{name: options}}, has {len(given)} keys")])
     if name not in _MEASURE_CLASSES:
         raise InvalidError([Problem("", f"unknown measure {name}; {known_names(name, _MEASURE_CLASSES)}")])
     model, made = _MEASURE_CLASSES[name]
@@ -69,7 +69,7 @@ def parse_measure(given: str | Mapping[str, Json]) -> Measure:
 
 
 def identity_of(given: str | Mapping[str, Json]) -> Json:
-    """Return the options on which a measure's results depend: of a user's function the source, but not the path."""
+    """Return the options on which a measure's results depend: of a user's function its source, but not its path."""
     if isinstance(given, str):
         return given
     return {

@@ -26,8 +26,8 @@ class Rest:
     """How the motion of the closed loop ends, without vibration (hapticd.rendering.end_state).
 
     The column `end` is `rests`, `cycles`, `grows`, or `falls` (the motion's energy still falls after `longest_s`).
-    `rests` is true if `end` is `rests`; `decays` is true if `end` is `rests` or `falls`. Use `decays` to search the
-    boundary of stability, close to which a motion takes long to come to rest.
+    `rests` is true if `end` is `rests`; `decays` is true if `end` is `rests` or `falls`. Use `decays` to search for the
+    boundary of stability: close to it, a motion takes long to come to rest.
     """
 
     columns = (

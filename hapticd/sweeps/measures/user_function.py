@@ -17,7 +17,7 @@ from hapticd.sweeps.measures.sweep_point import SweepPoint
 from hapticd.sweeps.point import Point
 
 FUNCTION_MEASURE: Final = "function"
-"""Name of the measure."""
+"""Name of the measure that calls a user's function."""
 _KIND_OF_UNIT: Final[Mapping[str, Kind]] = {"integer": "integer", "boolean": "boolean", "text": "text"}
 """Values in the option `columns` that are kinds of columns; any other value is the unit of a number."""
 _ADDED_OPTIONS: Final = ("source", "file", "folder")

@@ -19,7 +19,7 @@ from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
 
 PARTICIPANT_COLUMN: Final = Column("participant", "text", "varied", description="Label of the participant.")
-"""The varied column of every row."""
+"""The only varied column of a row."""
 
 
 @dataclass(frozen=True)
@@ -90,13 +90,8 @@ class Participants:
         return Sessions(self.study, self.session, self.seed, ids, labels)
 
     def manifest(self) -> dict[str, Json]:
-        """Return the members of study.json other than title and columns."""
-        return {
-            "kind": "participants",
-            "study": self.study.to_dict(),
-            "session": self.session,
-            "seed": self.seed,
-        }
+        """Return the members of study.json other than title, columns and versions."""
+        return {"kind": "participants", "study": self.study.to_dict(), "session": self.session, "seed": self.seed}
 
 
 def _ids(study: Study, session: int, seed: int, labels: Sequence[str]) -> npt.NDArray[np.void]:

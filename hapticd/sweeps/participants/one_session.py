@@ -21,7 +21,7 @@ from hapticd.experiment.stimuli import at_level
 from hapticd.sweeps.columns import Column, Row
 
 CLOCK_KEY: Final = "clock"
-"""Member that holds the time of day in the first record of a log; rows omit it."""
+"""Key of the time of day in the first record of a log; rows omit this key."""
 SESSION_COLUMNS: Final = (
     Column("trials", "integer", "measured", "", "Number of trials of the plan."),
     Column("answered", "integer", "measured", "", "Number of trials with an answer."),

@@ -25,7 +25,7 @@ from hapticd.sweeps.participants.bulk import PARTICIPANT_COLUMN, Participants
 from hapticd.sweeps.participants.one_session import CLOCK_KEY, records_of, stage_of
 
 WRITTEN_FILE: Final = "written.txt"
-"""File in the result folder with the identities of participants whose folders are on disk, one per line."""
+"""File in the result folder with the identity of each participant whose session folder is on disk, one per line."""
 SESSIONS_PER_SYNC: Final = 500
 """Number of sessions after which the disk is synced."""
 
@@ -86,7 +86,7 @@ class SessionFolders:
         write_session_tables(folder, synced=False)
 
     def _sync(self, fresh: list[str]) -> None:
-        """Sync the disk, then move the identities of participants from `fresh` to WRITTEN_FILE."""
+        """Sync the disk, add the identities of participants in `fresh` to WRITTEN_FILE, and clear `fresh`."""
         if not fresh:
             return
         os.sync()
