@@ -15,10 +15,10 @@ from hapticd.recording.recording import load
 def written_flight(client: Client) -> str:
     """Have the flight recorder write a file, wait until it is complete, and return its path on the daemon's machine.
 
-    Raises HapticdError if it cannot be written.
+    Raises HapticdError if the file cannot be written.
     """
     file = client.dump_flight()["file"]
-    # The file appears when it is complete; if it does not, the status has the reason.
+    # The file appears when it is complete. If it does not appear, the status has the reason.
     while not os.path.exists(file):
         flight = client.get_status()["flight"]
         if flight is None or (flight["under_way"] == 0 and flight["problem"] is not None):

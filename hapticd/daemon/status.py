@@ -32,7 +32,6 @@ class Status:
         self._started_ns = monotonic_ns()
         self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
         self._encoded: tuple[tuple[object, ...], Members] = ((), Members(0, b""))
-        # Members that never change.
         servo = engine.config.servo
         self._overruns = {**servo.overruns.to_dict(), "configured_rate_hz": servo.rate_hz}
 
@@ -55,7 +54,7 @@ class Status:
         return Encoded((lasting.joined(changing),))
 
     def _state(self, counters: Counters) -> tuple[object, ...]:
-        """Return version numbers; while none changes, the result of `_lasting` (rarely changing members) stays."""
+        """Return the values on which `_lasting` depends: while none changes, its encoding is used again."""
         engine, flight = self._engine, self._flight
         return (
             engine.revision,
@@ -68,6 +67,7 @@ class Status:
         )
 
     def _lasting(self, counters: Counters) -> dict[str, object]:
+        """Return the members that rarely change."""
         engine, flight = self._engine, self._flight
         granted = engine.granted
         return {

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 class GestureEnd(TypedDict):
     """The event at the end of a motion of the simulated hand.
 
-    `completed` is false if another operator replaced it. `started_tick` is the tick of its `set_operator`.
+    `completed` is false if another operator replaced the motion. `started_tick` is the tick at which the motion began.
     """
 
     event: Literal["gesture_end"]
@@ -97,7 +97,7 @@ class SceneResult(TypedDict):
 
 
 class Warned(TypedDict):
-    """A warning that a part of a message is not displayed as written, with its place in the params or in their file."""
+    """A warning that a part of a request is not displayed as written, with its place in the params or their file."""
 
     where: str
     problem: str
@@ -171,7 +171,7 @@ class OperatorResult(TickResult):
 
 
 class LeaseResult(TypedDict):
-    """The token with which a client renews or ends its lease, without which forces fade out; None after its end."""
+    """The token with which a client renews or ends its lease; None after the end of the lease."""
 
     token: str | None
     warning: NotRequired[str]

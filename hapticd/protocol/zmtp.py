@@ -49,14 +49,14 @@ class Bounds:
     size: int
     """Largest size of a message, all frames together, in bytes."""
     kept: int
-    """Largest size of a message that is kept, in bytes; of a longer one only the size is reported."""
+    """Largest size of a message that is kept, in bytes; of a longer message only the size is reported."""
 
 
 @dataclass(slots=True)
 class Message:
     """A complete message: its first three frames, and the size of all frames, in bytes.
 
-    If the message is too long or has more than two frames, only the first byte of each frame is kept.
+    If it is longer than `Bounds.kept` or has more than two frames, only the first byte of each frame is kept.
     """
 
     frames: list[bytes]
@@ -131,7 +131,7 @@ def properties(data: bytes) -> dict[bytes, bytes]:
 class Parser:
     """The parser of the bytes of one peer. It cannot be used after an error."""
 
-    __slots__ = ("_at", "_bounds", "_buffer", "_count", "_cut", "_flags", "_frames", "_left", "_part", "_size")
+    __slots__ = ("_at", "_bounds", "_buffer", "_count", "_flags", "_frames", "_left", "_part", "_size", "_truncated")
 
     def __init__(self, bounds: Bounds) -> None:
         self._bounds = bounds
@@ -141,10 +141,10 @@ class Parser:
         self._flags = 0
         # State of the current message:
         self._frames: list[bytes] = []
-        self._part = bytearray()
+        self._part = bytearray()  # received bytes of the current frame
         self._count = 0
         self._size = 0
-        self._cut = False
+        self._truncated = False  # only the first byte of each frame is kept
 
     def feed(self, data: bytes) -> None:
         """Add received bytes. Call it after `next` has returned None."""
@@ -159,13 +159,13 @@ class Parser:
     @property
     def held(self) -> int:
         """Approximate number of bytes that the parser keeps of an incomplete message."""
-        return 0 if self._cut else self._size - max(self._left, 0)
+        return 0 if self._truncated else self._size - max(self._left, 0)
 
     def next(self) -> Event | None:
-        """Return the next message, command or greeting, or None if it is incomplete. Raises ZmtpError."""
+        """Return the next message, command or greeting; None if more bytes are needed. Raises ZmtpError."""
         if self._left == _NO_GREETING:
             return self._greeting()
-        while self._left >= 0 or self._open():
+        while self._left >= 0 or self._read_header():
             buffer, at = self._buffer, self._at
             end = at + self._left
             if end > len(buffer):
@@ -175,7 +175,7 @@ class Parser:
                 return None
             self._left, self._at = _NO_FRAME, end
             body = buffer[at:end]
-            if self._part or self._cut:
+            if self._part or self._truncated:
                 self._keep(body)
                 body = bytes(self._part)
                 self._part = bytearray()
@@ -185,7 +185,7 @@ class Parser:
                 self._frames.append(body)
             if not self._flags & MORE_FLAG:
                 found = Message(self._frames, self._size)
-                self._frames, self._count, self._size, self._cut = [], 0, 0, False
+                self._frames, self._count, self._size, self._truncated = [], 0, 0, False
                 return found
         return None
 
@@ -203,7 +203,7 @@ class Parser:
         self._at, self._left = len(ZMTP_GREETING), _NO_FRAME
         return Greeted()
 
-    def _open(self) -> bool:
+    def _read_header(self) -> bool:
         """Read the header of the next frame; return false if the header is incomplete."""
         buffer, at = self._buffer, self._at
         if len(buffer) - at < 2:
@@ -230,14 +230,14 @@ class Parser:
             raise ZmtpError(f"a message of more than {self._bounds.frames:,} parts")
         if self._size > self._bounds.size:
             raise ZmtpError(f"a message of more than {self._bounds.size:,} bytes")
-        if not self._cut and (self._size > self._bounds.kept or self._count > _MAX_KEPT_FRAMES):
-            self._cut = True
+        if not self._truncated and (self._size > self._bounds.kept or self._count > _MAX_KEPT_FRAMES):
+            self._truncated = True
             self._frames = [each[:1] for each in self._frames]
         return True
 
     def _keep(self, chunk: bytes) -> None:
-        """Keep a chunk of a frame that arrives in several chunks."""
-        if not self._cut or self._flags & COMMAND_FLAG:
+        """Keep a chunk of a frame that arrives in several chunks, or its first byte if the message is truncated."""
+        if not self._truncated or self._flags & COMMAND_FLAG:
             self._part += chunk
         elif not self._part:
             self._part += chunk[:1]

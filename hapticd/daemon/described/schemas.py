@@ -39,7 +39,7 @@ from hapticd.recording.event_columns import EVENT_MEMBER_SCHEMAS, NULLABLE_MEMBE
 # ---- From draft 2020-12, of pydantic, to draft 7, of OpenRPC and AsyncAPI --------------------------------------------
 
 _OPEN_API_KEYWORD: Final = "discriminator"
-"""A keyword of OpenAPI that is left out: the `const` of `kind` expresses the same."""
+"""A keyword of OpenAPI that is left out, because the `const` of `kind` expresses the same."""
 
 
 def draft7(schema: Json) -> Json:
@@ -90,13 +90,13 @@ def params_schemas() -> Schemas:
     )
     schemas = cast(Schemas, draft7(closed(cast(Json, found["$defs"]))))
     kinds = [model.__name__ for model in _kinds()]
-    schemas["MaterialPatch"] = _patch("Material", schemas)
+    schemas["MaterialPatch"] = _model_patch("Material", schemas)
     for kind in kinds:
-        schemas[f"{kind}Patch"] = _patch(kind, schemas)
-    _properties(schemas["UpdateMaterialsParams"])["materials"]["patternProperties"] = _by_name(
+        schemas[f"{kind}Patch"] = _model_patch(kind, schemas)
+    _properties(schemas["UpdateMaterialsParams"])["materials"]["patternProperties"] = _named(
         [f"{SCHEMA_REF_PREFIX}MaterialPatch"]
     )
-    _properties(schemas["UpdateSceneParams"])["objects"]["patternProperties"] = _by_name(
+    _properties(schemas["UpdateSceneParams"])["objects"]["patternProperties"] = _named(
         [f"{SCHEMA_REF_PREFIX}{kind}Patch" for kind in kinds]
     )
     for model, name in (("UpdateMaterialsParams", "materials"), ("UpdateSceneParams", "objects")):
@@ -113,24 +113,25 @@ def _properties(schema: dict[str, Json]) -> Schemas:
     return cast(Schemas, schema["properties"])
 
 
-def _by_name(patches: list[str]) -> dict[str, Json]:
+def _named(patches: list[str]) -> dict[str, Json]:
+    """Return the value of `patternProperties` for a map from names to merge patches; null removes a name."""
     pattern = NAME_PATTERN.replace("]+$", f"]{{1,{NAME_MAX_CHARACTERS}}}$")
     options: list[Json] = [{"$ref": patch} for patch in patches]
     return {pattern: {"anyOf": [*options, _NULL_SCHEMA]}}
 
 
-def _patch(name: str, schemas: Schemas) -> dict[str, Json]:
+def _model_patch(name: str, schemas: Schemas) -> dict[str, Json]:
     """Return the schema of a merge patch (RFC 7396) of the model `name`.
 
     Keys that the model lacks may be null: a patch that changes an object's `kind` must remove keys of the old kind.
     """
     found = {key: value for key, value in schemas[name].items() if key in _PATCH_KEYWORDS}
     found["description"] = f"A JSON Merge Patch. {found['description']}"
-    found["properties"] = {key: _patched(value, schemas) for key, value in _properties(found).items()}
+    found["properties"] = {key: _member_patch(value, schemas) for key, value in _properties(found).items()}
     return {**found, "additionalProperties": _NULL_SCHEMA}
 
 
-def _patched(schema: dict[str, Json], schemas: Schemas) -> Json:
+def _member_patch(schema: dict[str, Json], schemas: Schemas) -> Json:
     """Return the schema of a member of a merge patch: null, or a patch if the member is an object, else its value."""
     about = {"description": schema["description"]} if "description" in schema else {}
     options = cast(
@@ -141,11 +142,11 @@ def _patched(schema: dict[str, Json], schemas: Schemas) -> Json:
         reference = cast("str | None", option.get("$ref"))
         choices = cast("list[dict[str, Json]]", option.get("oneOf", []))
         if reference is not None:
-            members.append(_nested(reference, schemas))
+            members.append(_referred_patch(reference, schemas))
         elif choices:
-            members += [_nested(cast(str, choice["$ref"]), schemas) for choice in choices]
+            members += [_referred_patch(cast(str, choice["$ref"]), schemas) for choice in choices]
         elif option != _NULL_SCHEMA:
-            members.append(_by_names(option) if "patternProperties" in option else _without_words(option))
+            members.append(_mapping_patch(option) if "patternProperties" in option else _without_words(option))
     return {**about, "anyOf": [*members, _NULL_SCHEMA]}
 
 
@@ -153,7 +154,7 @@ def _without_words(schema: dict[str, Json]) -> dict[str, Json]:
     return {key: value for key, value in schema.items() if key not in ("default", "description")}
 
 
-def _by_names(schema: dict[str, Json]) -> dict[str, Json]:
+def _mapping_patch(schema: dict[str, Json]) -> dict[str, Json]:
     """Return the schema of a merge patch (RFC 7396) of a mapping whose keys are names."""
     found = {key: value for key, value in _without_words(schema).items() if key != "propertyNames"}
     patterns = cast(Schemas, schema["patternProperties"])
@@ -161,13 +162,14 @@ def _by_names(schema: dict[str, Json]) -> dict[str, Json]:
     return {**found, "additionalProperties": _NULL_SCHEMA}
 
 
-def _nested(reference: str, schemas: Schemas) -> Json:
+def _referred_patch(reference: str, schemas: Schemas) -> Json:
+    """Return a reference to the merge patch of an object's schema, which is made if missing, or else `reference`."""
     name = reference.removeprefix(SCHEMA_REF_PREFIX)
     if schemas[name].get("type") != "object":
         return {"$ref": reference}
     if f"{name}Patch" not in schemas:
         schemas[f"{name}Patch"] = {}  # a placeholder, in case that the schema refers to itself
-        schemas[f"{name}Patch"] = _patch(name, schemas)
+        schemas[f"{name}Patch"] = _model_patch(name, schemas)
     return {"$ref": f"{reference}Patch"}
 
 
