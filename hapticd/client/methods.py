@@ -408,7 +408,7 @@ class Client(ABC):
 
         The servo interpolates linearly between messages. If no message arrives within the time-out (20 ms by default),
         a force fades to zero and the hand stays. The end of the block sends a force of zero. Messages do not wait for
-        replies. The first of each kind, and then one every half second, requests a reply: if the daemon refuses a
+        replies. The first of each kind, and then one every half second, requests a reply. If the daemon refuses a
         message, a later message or the end of the block raises RemoteError. Warns (ForcesOff) if forces are off.
         """
         self._refuse_closed()

@@ -142,8 +142,8 @@ def record(
 
     A stopped recording has all ticks that the daemon had rendered when `stop` was set. If the daemon ends or the disk
     is full, the recording is completed with the data that it received. `notes` are stored in it. `progress` is called
-    with the recorded time in s, which is 0 before the first sample; `opened` with the writer, before anything is
-    recorded, so that another thread can read how much is written. Raises HapticdError before anything is recorded if
+    with the recorded time in s, which is 0 before the first sample. `opened` is called with the writer before anything
+    is recorded, so that another thread can read how much is written. Raises HapticdError before anything is recorded if
     the target cannot be written, or exists and `overwrite` is false.
     """
     with recording_into(target, overwrite) as writer:
@@ -539,7 +539,7 @@ class Recorder:
         """
         self._stop.set()
         if self._done is None:
-            raise HapticdError(f"{self.path}: not recorded")
+            raise HapticdError(f"{self.path}: the recording has not begun")
         result = self._done.result()
         if ended_early(result.ended_because) is not None:
             raise HapticdError(f"{result.ended_because}; {result.file} has everything before that")

@@ -1,7 +1,7 @@
 """The command thread: takes requests from `router.py`, answers them, and sends the servo a heartbeat between them.
 
-Requests that change the scene or materials are carried out one at a time, in the order of their arrival, and in steps:
-between two steps other requests are answered (docs/adr/0002, 0024, 0058). A reload of the configuration is such a
+Requests that change the scene or materials are carried out one at a time, in the order of their arrival, and in steps.
+Between two steps other requests are answered (docs/adr/0002, 0024, 0058). A reload of the configuration is also a
 change; all signals that arrive before it begins cause one reload. The heartbeat shows the servo that this thread runs.
 """
 

@@ -1,9 +1,9 @@
 """The flight recorder: keeps the last seconds of samples and events, and writes them on a fault or on request.
 
-The telemetry thread passes all samples and events to it. Samples are kept in a circular array of fixed size (1.1 MB a
-second at 10 kHz); flight_scene.py keeps their scene, so that a file suffices to render them again. A separate thread
-writes a copy of the array, so that no other thread waits for the disk. The file of a fault is begun FAULT_AFTERMATH_S
-after the fault, so that it shows the consequences.
+The telemetry thread passes all samples and events to the recorder. Samples are kept in a circular array of fixed size
+(1.1 MB a second at 10 kHz). flight_scene.py keeps their scene, so that a file suffices to render them again. A separate
+thread writes a copy of the array, so that no other thread waits for the disk. The file of a fault is written
+FAULT_AFTERMATH_S after the fault, so that it shows the consequences.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The lease: forces stay on only while a client renews it, by token, before its deadline.
 
-`methods.py` converts its exceptions to the protocol's errors. The servo watches the deadline, so that it holds even if
-Python hangs or dies.
+`methods.py` converts the exceptions to the protocol's errors. The servo checks the deadline, even if Python hangs or
+dies.
 """
 
 from __future__ import annotations

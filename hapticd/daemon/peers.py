@@ -356,7 +356,7 @@ class Peers:
             peer = Peer(sock, uid, pid, zmtp.Parser(self._limits.message))
             if len(self._owners.get(peer.uid, {}).get(peer.pid, ())) >= self._limits.process_connections:
                 sock.close()
-                self._warn_ended(peer, f"it already has {self._limits.process_connections:,} connections")
+                self._warn_ended(peer, f"the process already has {self._limits.process_connections:,} connections")
                 continue
             self._enter(peer)
             if len(self._peers) > self._limits.connections:
@@ -431,4 +431,5 @@ class Peers:
                 users[each.uid] = users.get(each.uid, 0) + each.held
                 processes[each.pid] = processes.get(each.pid, 0) + each.held
             worst = max(self._peers.values(), key=lambda each: (users[each.uid], processes[each.pid], each.held))
-            self._end(worst, f"it holds {wording.size(worst.held)} of buffers, all clients {wording.size(self._held)}")
+            held, all_held = wording.size(worst.held), wording.size(self._held)
+            self._end(worst, f"the connection uses {held} of buffers, all clients {all_held}")

@@ -173,8 +173,8 @@ class Telemetry:
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
         """Yield the servo's events as maps; overruns, grooves and revisions are merged.
 
-        A flood of events would delay commands: a batch has one event for all overruns (their sum), one for all grooves
-        of an object (their count), and one for all revisions (the newest).
+        A flood of events would delay commands. So a batch has one event for all overruns (their sum), one for all
+        grooves of an object (their count), and one for all revisions (the newest).
         """
         kinds = events["kind"]
         overruns, revisions = events[kinds == EventKind.OVERRUN], events[kinds == EventKind.REVISION]

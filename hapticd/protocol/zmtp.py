@@ -1,7 +1,7 @@
 """ZMTP 3.0 and 3.1 without I/O: parser and writer of messages and commands (RFC 23 and 37, mechanism NULL).
 
-The memory of a `Parser` is limited by its bounds, whatever a peer sends: it allocates for received bytes, not for the
-length in a header, and keeps only the size of a message that is too long.
+`Bounds` limit the memory of a `Parser`, whatever a peer sends. A parser allocates memory for received bytes, not for the
+length in a header. Of a message that is too long it keeps only the size.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class ZmtpError(HapticdError):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Limits of the messages that a parser accepts from one peer."""
+    """Limits of a message that a parser accepts from a peer."""
 
     frames: int
     """Largest number of parts (frames) of a message."""
@@ -192,12 +192,12 @@ class Parser:
     def _greeting(self) -> Greeted | None:
         received = self._buffer
         if received[:1] not in (b"", b"\xff") or received[9:10] not in (b"", b"\x7f"):
-            raise ZmtpError("its data is not ZMTP 3")
+            raise ZmtpError("the data is not ZMTP 3")
         if len(received) > 10 and received[10] < 3:
-            raise ZmtpError(f"it speaks ZMTP {received[10]}: must be 3")
+            raise ZmtpError(f"the version of ZMTP is {received[10]}: must be 3")
         if len(received) >= 32 and received[12:32] != _NULL_MECHANISM:
             mechanism = received[12:32].strip(b"\0").decode("ascii", "replace")
-            raise ZmtpError(f"its mechanism is {quoted(mechanism)}: must be NULL")
+            raise ZmtpError(f"the mechanism is {quoted(mechanism)}: must be NULL")
         if len(received) < len(ZMTP_GREETING):
             return None
         self._at, self._left = len(ZMTP_GREETING), _NO_FRAME
@@ -218,7 +218,7 @@ class Parser:
             size = buffer[at + 1]
             self._at = at + 2
         if flags & ~(MORE_FLAG | LONG_FLAG | COMMAND_FLAG) or (flags & COMMAND_FLAG and flags & MORE_FLAG):
-            raise ZmtpError("its data is not ZMTP 3")
+            raise ZmtpError("the data is not ZMTP 3")
         self._flags, self._left = flags, size
         if flags & COMMAND_FLAG:
             if size > MAX_COMMAND_BYTES:

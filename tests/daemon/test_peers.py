@@ -280,7 +280,7 @@ def ends(
         (b"\x01\x01x" * 1000, "a message of more than 1,024 parts"),
         (b"\x01\x00" * 1000, "a message of more than 1,024 parts"),
         (zmtp.header(2**17, zmtp.MORE_FLAG) + bytes(2**17), "a message of more than 67,108,864 bytes"),
-        (b"\x00\x00" + b"\x40", "its data is not ZMTP 3"),
+        (b"\x00\x00" + b"\x40", "the data is not ZMTP 3"),
         (zmtp.command(b"SUBSCRIBE", b"") + zmtp.command(b"READY", b""), "unexpected command"),
     ],
 )
@@ -338,7 +338,7 @@ def test_connections_of_one_process_are_bounded(path: Path, caplog: pytest.LogCa
         while thread.is_alive():
             made.receive(0.01)
     assert len(made) == 10
-    assert "it already has 10 connections" in caplog.text
+    assert "the process already has 10 connections" in caplog.text
     clients[3].close()
     while len(made) == 10:
         made.receive(0.01)
