@@ -194,7 +194,7 @@ class Parser:
         if received[:1] not in (b"", b"\xff") or received[9:10] not in (b"", b"\x7f"):
             raise ZmtpError("the data is not ZMTP 3")
         if len(received) > 10 and received[10] < 3:
-            raise ZmtpError(f"the version of ZMTP is {received[10]}: must be 3")
+            raise ZmtpError(f"the protocol is ZMTP {received[10]}: must be 3")
         if len(received) >= 32 and received[12:32] != _NULL_MECHANISM:
             mechanism = received[12:32].strip(b"\0").decode("ascii", "replace")
             raise ZmtpError(f"the mechanism is {quoted(mechanism)}: must be NULL")
