@@ -1,4 +1,4 @@
-"""What the flight recorder's samples were rendered with: what is kept, and what is given up first."""
+"""The scenes of the flight recorder's samples: which changes are kept, and which are dropped first."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def patched(count: int) -> SceneObject:
 
 
 def test_patches_count_as_objects_do() -> None:
-    """Each takes as many words."""
+    """A patch is encoded in as many bytes as an object."""
     before = validate_scene({"objects": {"floor": FLOOR}})
     scene = FlightScene(before, MATERIALS, 1, RATE_HZ)
     large = patched(MAX_PATCHES)
