@@ -29,9 +29,9 @@ from hapticd.system import notify
 from hapticd.system.repeated_lines import Repeats
 
 MAX_WAITING_CHANGES: Final = 64
-"""Largest number of requested changes, with the one under way. docs/protocol.md states it."""
+"""Largest number of requested changes, including the one under way, as docs/protocol.md states."""
 MAX_WAITING_CHANGE_BYTES: Final = 2 * messages.MAX_BODY_BYTES
-"""Largest size of the bodies of these changes together."""
+"""Largest size of the bodies of all requested changes together, as docs/protocol.md states."""
 CHANGE_SLICE_NS: Final = 5_000_000
 """Time after which a change stops at the end of its present step, so that other requests are served."""
 BEAT_INTERVAL_S: Final = 0.1

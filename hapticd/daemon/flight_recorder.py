@@ -32,7 +32,7 @@ from hapticd.recording.missed_periods import MAX_LISTED_GAPS, gaps_of, missed_pe
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 FAULT_AFTERMATH_S: Final = 1.0
-"""Time after a fault that its file includes."""
+"""Time after a fault that the file of the fault includes."""
 MAX_KEPT_EVENTS: Final = 5000
 """Largest number of events that are kept; the oldest are dropped."""
 CHUNK_SAMPLES: Final = 3200

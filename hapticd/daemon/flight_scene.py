@@ -27,7 +27,7 @@ from hapticd.protocol.changes import (
 )
 
 MAX_KEPT_WEIGHT: Final = 4000
-"""Largest sum of `_weight` over the kept changes."""
+"""Largest sum of the sizes (`_weight`) of the kept changes."""
 
 
 class _Base(NamedTuple):

@@ -99,7 +99,7 @@ class _Changed(NamedTuple):
     """Whether the answer waits for the first tick of this revision and contains it."""
     warnings: list[Problem]
     margins: dict[str, float | None] | None
-    """Margins, as of Engine.margins, of the surfaces that were added or changed."""
+    """Stability margins of the surfaces that were added or changed (Engine.margins)."""
 
 
 CHANGE_METHODS: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))

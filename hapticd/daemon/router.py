@@ -12,9 +12,9 @@ from hapticd.daemon.peers import Limits, Peer, Peers
 from hapticd.protocol import messages, zmtp
 
 MAX_MESSAGE_BYTES: Final = 64 * 1024 * 1024
-"""Largest size of a message, all frames together; a longer one ends its connection."""
+"""Largest size of a message, all frames together; a longer message ends its connection."""
 MAX_MESSAGE_FRAMES: Final = 1024
-"""Largest number of frames of a message; more of them end its connection."""
+"""Largest number of frames of a message; a message with more ends its connection."""
 MAX_RECEIVE_OVERTIME_S: Final = 0.02
 """Time beyond its timeout for which `receive` may read incomplete messages before it returns."""
 

@@ -16,7 +16,7 @@ from hapticd.config.scene import Scene, SceneObject, Wall
 from hapticd.config.texture import Autoregressive
 
 MAX_LISTED_CHANGES: Final = 1000
-"""Largest number of objects, and of materials, that a message of the topic `change` lists; above it has `large`."""
+"""Largest number of objects, and of materials, that a `change` message lists; a larger change only has `large`."""
 MAX_FLIGHT_OBJECTS: Final = 2000
 """Largest number of objects of a scene in a flight file: encoding a larger scene would delay commands."""
 MAX_FLIGHT_PARTS: Final = 4000

@@ -22,10 +22,10 @@ PROTOCOL_VERSION: Final = 1
 """Version of the protocol, which is independent of the version of the package."""
 
 MAX_GESTURE_ENDS: Final = 16
-"""Number of ends of gestures (motions of the simulated hand) that a status lists, the latest ones."""
+"""Largest number of ends of gestures (motions of the simulated hand) that a status lists: the latest."""
 
 MAX_BODY_BYTES: Final = 2 * 1024 * 1024
-"""Largest body of a request, in bytes."""
+"""Largest size of the body of a request."""
 
 MAX_MAP_MEMBERS: Final = 65_536
 """Largest number of members of a map in a body. A map is built in one call, in which no other thread runs."""

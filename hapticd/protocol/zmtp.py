@@ -17,10 +17,10 @@ MORE_FLAG: Final = 1
 LONG_FLAG: Final = 2
 """Flag of a frame: its size has eight bytes instead of one."""
 COMMAND_FLAG: Final = 4
-"""Flag of a frame: it is a command."""
+"""Flag of a frame: the frame is a ZMTP command, not a part of a message."""
 
 MAX_COMMAND_BYTES: Final = 4096
-"""Largest command including its name, in bytes."""
+"""Largest size of a ZMTP command with its name."""
 
 _GREETING_SIGNATURE: Final = b"\xff" + bytes(8) + b"\x7f"
 _NULL_MECHANISM: Final = b"NULL".ljust(20, b"\0")
