@@ -1,7 +1,7 @@
 """ZMTP 3.0 and 3.1 without I/O: parser and writer of messages and commands (RFC 23 and 37, mechanism NULL).
 
-`Bounds` limit the memory of a `Parser`, whatever a peer sends. A parser allocates memory for received bytes, not for the
-length in a header. Of a message that is too long it keeps only the size.
+`Bounds` limit the memory of a `Parser`, whatever a peer sends. A parser allocates memory for received bytes, not for
+the length in a header. Of a message that is too long it keeps only the size.
 """
 
 from __future__ import annotations
