@@ -39,12 +39,12 @@ def summed_up(written: str, copy: str | None, overwrite: bool) -> tuple[dict[str
     if copy is not None:
         recording.save(copy, overwrite)
     file, ticks, missed = copy or written, len(recording.samples), recording.missed_periods
-    found: dict[str, object] = {
+    summary: dict[str, object] = {
         "file": file,
         "ticks": ticks,
         "duration_s": (ticks + missed) / recording.rate_hz,
         "missed_periods": missed,
         "events": len(recording.events),
     }
-    line = f"{file}: {wording.count(ticks, 'tick')} in {found['duration_s']:.3f} s, {missed_text(missed, ticks)}, "
-    return found, line + wording.count(len(recording.events), "event")
+    line = f"{file}: {wording.count(ticks, 'tick')} in {summary['duration_s']:.3f} s, {missed_text(missed, ticks)}, "
+    return summary, line + wording.count(len(recording.events), "event")

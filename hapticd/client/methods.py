@@ -253,7 +253,7 @@ class Client(ABC):
         direction: Iterable[float] = (0.0, 1.0),
         amplitude_m_per_s2: float,
     ) -> PlayResult:
-        """Strike a mode, or that of a material's tap or rupture, along `direction` [x, y], in contact or not."""
+        """Strike a mode, or the mode of a material's tap or rupture, along `direction` [x, y], in contact or not."""
         params: dict[str, object] = {
             "direction": arguments.numbers("direction", direction),
             "amplitude_m_per_s2": amplitude_m_per_s2,
@@ -344,7 +344,7 @@ class Client(ABC):
 
     @asynccontextmanager
     async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:
-        """Hold the lease, without which forces fade out, while the `with` block runs; yields the token of the lease.
+        """Hold the lease, which keeps the forces on, while the `with` block runs; yields the token of the lease.
 
         A thread renews the lease three times within `duration_s`, over a separate connection. If the process ends, the
         forces fade out. In asyncio a task renews it, so the forces also fade out if the event loop is blocked for
@@ -588,7 +588,7 @@ class Subscription(Generic[T]):
 
 
 def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) -> GestureEnd | None:
-    """Return the event at the end of the hand's motion that began at `started_tick`; None: `message` does not have it.
+    """Return the event at the end of the motion that began at `started_tick`; None if `message` does not have it.
 
     Raises HapticdError if the daemon no longer knows the motion.
     """

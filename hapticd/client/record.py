@@ -543,13 +543,13 @@ class Recorder:
         result = self._done.result()
         if ended_early(result.ended_because) is not None:
             raise HapticdError(f"{result.ended_because}; {result.file} has everything before that")
-        found: list[Warning] = []
+        warnings: list[Warning] = []
         if result.lost:
             lost = wording.count(result.lost, "sample")
-            found.append(TelemetryLoss(f"{result.file}: {lost} were lost between daemon and recording"))
+            warnings.append(TelemetryLoss(f"{result.file}: {lost} were lost between daemon and recording"))
         if result.warning is not None:
-            found.append(MissedPeriods(f"{result.file}: {result.warning}"))
-        return found
+            warnings.append(MissedPeriods(f"{result.file}: {result.warning}"))
+        return warnings
 
     def _record(self) -> RecordSummary:
         with self._connect() as client:

@@ -85,7 +85,7 @@ SAMPLE_CAPACITY: Final = 16384
 DEVICE_TIMEOUT_S: Final = 0.1
 """Time by which the newest report may be older than usual before the device counts as lost."""
 FROZEN_FORCE_FRACTION: Final = 0.1
-"""Fraction of the maximum force from which on the position must change, if `device.frozen_after_s` is set."""
+"""Fraction of the maximum force above which an unchanged position counts as frozen (`device.frozen_after_s`)."""
 MAX_UNSENT_CHANGES: Final = 1024
 """Largest number of changes that wait to be sent to subscribers; beyond it the oldest are dropped."""
 
@@ -447,8 +447,8 @@ class Engine:
             return None
         slots = list(self._compiler.touched if touched else self._compiler.slots())
         names = self._compiler.names_of(slots)
-        found = self._margins.of(self._compiler, slots)
-        return {name: margin if margin < math.inf else None for name, margin in zip(names, found, strict=True)}
+        margins = self._margins.of(self._compiler, slots)
+        return {name: margin if margin < math.inf else None for name, margin in zip(names, margins, strict=True)}
 
     def name_of(self, slot: int, generation: int) -> str | None:
         """Return the id of the object that an event identifies by slot and generation; None: no object."""
@@ -562,7 +562,7 @@ class Engine:
         return read_stream_counters(self._servo, kind)
 
     def operator(self) -> dict[str, object] | None:
-        """Return the member `operator` of a status: the last start of a motion, and the last ends. For any thread.
+        """Return the member `operator` of a status: the last start and the last ends of motions. For any thread.
 
         Returns None without a simulated hand.
         """
@@ -626,14 +626,14 @@ class Engine:
                 yield self._changes.popleft()
 
     def read_samples(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move samples from the servo into `buffer` (SAMPLE_DTYPE); return their number and that of all dropped.
+        """Move samples from the servo into `buffer` (SAMPLE_DTYPE); return the numbers of moved and dropped ones.
 
         For one thread at a time; another thread may read events at the same time.
         """
         return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, buffer)
 
     def read_events(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move events from the servo into `buffer` (EVENT_DTYPE); return their number and that of all dropped."""
+        """Move events from the servo into `buffer` (EVENT_DTYPE); return the numbers of moved and dropped ones."""
         return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, buffer)
 
     def touching(self) -> list[str]:

@@ -294,8 +294,8 @@ class Flight:
     def _files(self) -> list[tuple[Path, re.Match[str]]]:
         if not self._directory.is_dir():
             return []
-        found = ((path, _FILE_NAME_PATTERN.fullmatch(path.name)) for path in self._directory.iterdir())
-        return [(path, match) for path, match in found if match is not None and path.is_file()]
+        matches = ((path, _FILE_NAME_PATTERN.fullmatch(path.name)) for path in self._directory.iterdir())
+        return [(path, match) for path, match in matches if match is not None and path.is_file()]
 
 
 def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:

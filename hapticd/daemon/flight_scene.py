@@ -70,7 +70,7 @@ class History:
         return [first, *map(change_map, self.changes)]
 
     def missing(self, revisions: set[int]) -> list[int]:
-        """Return the sorted ones of the samples' `revisions` whose scene is unknown."""
+        """Return those of the samples' `revisions` whose scene is unknown, sorted."""
         known = {change.revision for change in self.changes if isinstance(change, Revised)}
         return sorted(revisions - known - {self.revision})
 

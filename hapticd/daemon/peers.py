@@ -27,7 +27,7 @@ from hapticd.system.repeated_lines import Repeats
 HANDSHAKE_TIMEOUT_S: Final = 5.0
 """Time after connecting within which the handshake must be complete, as docs/protocol.md states."""
 MAX_UNSENT_BYTES: Final = 256 * 1024
-"""Unsent data to a peer above which nothing is read from the peer."""
+"""Number of unsent bytes to a peer above which nothing is read from the peer."""
 MAX_READ_BYTES: Final = 64 * 1024
 """Largest number of bytes read from a peer in one turn."""
 
@@ -114,12 +114,12 @@ class TurnQueue:
         """Remove and return the peer to serve next. Raises KeyError if the queue is empty."""
         uid, processes = self._users.popitem(last=False)
         pid, queue = processes.popitem(last=False)
-        found = queue.popleft()
+        peer = queue.popleft()
         if queue:
             processes[pid] = queue
         if processes:
             self._users[uid] = processes
-        return found
+        return peer
 
 
 class Peers:
@@ -413,7 +413,7 @@ class Peers:
         return timeout_s
 
     def _most_connected(self) -> Peer:
-        """Return the newest connection of the user, and of that user's process, that have most connections."""
+        """Return the newest connection of the process with most connections, of the user with most connections."""
         processes = max(self._owners.values(), key=lambda each: sum(map(len, each.values())))
         return next(reversed(max(processes.values(), key=len).values()))
 
@@ -431,5 +431,5 @@ class Peers:
                 users[each.uid] = users.get(each.uid, 0) + each.held
                 processes[each.pid] = processes.get(each.pid, 0) + each.held
             worst = max(self._peers.values(), key=lambda each: (users[each.uid], processes[each.pid], each.held))
-            held, all_held = wording.size(worst.held), wording.size(self._held)
-            self._end(worst, f"the connection uses {held} of buffers, all clients {all_held}")
+            size, total = wording.size(worst.held), wording.size(self._held)
+            self._end(worst, f"the connection uses {size} of buffers, all clients {total}")

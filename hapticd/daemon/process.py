@@ -165,8 +165,8 @@ def _log_limits(engine: Engine, granted: Granted, chosen: ConfigFiles) -> None:
 
 def _log_ready(engine: Engine, granted: Granted, command: Path) -> None:
     if engine.connection is not None:
-        found = engine.connection.status()
-        _log.info("device: %s at %s; forces are off until `hapticd force on`", found["name"], found["path"])
+        device = engine.connection.status()
+        _log.info("device: %s at %s; forces are off until `hapticd force on`", device["name"], device["path"])
     _log.info(
         "ready: %s at %s, %s%s, commands at %s",
         engine.config.device.kind,

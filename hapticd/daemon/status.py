@@ -116,17 +116,17 @@ class Status:
 
     def _find_limits(self) -> dict[str, object]:
         """Return the members `undisplayable`, `warnings`, `offload`, recomputed if scene or materials changed."""
-        known, found = self._limits
+        known, limits = self._limits
         state = (self._engine.revision, self._engine.offload_version)
         if known != state:
             undisplayable, warnings = self._engine.limits()
-            found = {
+            limits = {
                 "undisplayable": [asdict(mode) for mode in undisplayable],
                 "warnings": [asdict(problem) for problem in warnings[:MAX_FAULTS]],
                 "offload": [asdict(each) for each in self._engine.offloaded()[:MAX_FAULTS]],
             }
-            self._limits = (state, found)
-        return found
+            self._limits = (state, limits)
+        return limits
 
 
 def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:

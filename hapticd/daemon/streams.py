@@ -76,10 +76,10 @@ class Streams:
         Returns False for any other body and changes nothing. The caller then handles the body as a request, and reports
         and counts its mistake.
         """
-        found = wire.read(body)
-        if found is None:
+        streamed = wire.read(body)
+        if streamed is None:
             return False
-        kind, seq, x, y = found
+        kind, seq, x, y = streamed
         limit = MAX_COMPONENT_BY_KIND[kind]
         # Comparisons with NaN are false.
         if not (-limit <= x <= limit and -limit <= y <= limit) or seq > wire.MAX_SEQ:

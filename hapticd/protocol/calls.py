@@ -65,7 +65,7 @@ class ForcesOff(UserWarning):
 
 
 def encode_request(id: int, method: str, params: Mapping[str, object] | None) -> bytes:
-    """Return the encoded request that calls a method. Raises HapticdError if the daemon would refuse its encoding."""
+    """Return the encoded request that calls a method. Raises HapticdError if it cannot be encoded or is too long."""
     if not isinstance(method, str):
         raise arguments.invalid_argument("method", f"must be a string, is {shown(method)}")
     if params is not None and not isinstance(params, Mapping):

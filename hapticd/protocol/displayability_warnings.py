@@ -48,7 +48,7 @@ class MaterialReport(NamedTuple):
         return cls(material, output, not_displayed, warnings, no_faults)
 
     def problems(self, name: str, played: Collection[tuple[str, str]]) -> list[Problem]:
-        """Return the warnings of the material, with paths in a configuration; if it is impossible, its faults.
+        """Return the warnings of the material, or its faults if it cannot be rendered, with paths in a configuration.
 
         `played` are pairs of material and mode that the device plays as effects.
         """
@@ -90,19 +90,19 @@ def change_warnings(
     """
     if not sent and all(_is_fine(item, reports) for item in objects.values()):
         return []
-    found: list[Problem] = []
+    warnings: list[Problem] = []
     places: dict[str, Path] = {}
     for id, item in objects.items():
         for name, inner in material_places(item):
             places.setdefault(name, (*root, id, *inner))
         if isinstance(item, Wall) and item.patches:
-            found += patch_warnings(item, (*root, id))
+            warnings += patch_warnings(item, (*root, id))
     named = dict.fromkeys([*sent, *places])
     for name in islice(named, MAX_FAULTS):
         problems = reports[name].problems(name, played)
         # The material is not in the message, so its complete warning becomes the problem of the key that names it.
-        found += problems if name in sent else [Problem(path_text(places[name]), str(each)) for each in problems]
-    return found[:MAX_FAULTS]
+        warnings += problems if name in sent else [Problem(path_text(places[name]), str(each)) for each in problems]
+    return warnings[:MAX_FAULTS]
 
 
 def _is_fine(item: SceneObject, reports: Mapping[str, MaterialReport]) -> bool:

@@ -115,7 +115,7 @@ def error(reason: bytes) -> bytes:
 
 def properties(data: bytes) -> dict[bytes, bytes]:
     """Return the properties in a command READY, by names in lower case. Raises ZmtpError."""
-    found = {}
+    values = {}
     at = 0
     while at < len(data):
         named = at + 1 + data[at]
@@ -123,9 +123,9 @@ def properties(data: bytes) -> dict[bytes, bytes]:
         end = begin + int.from_bytes(data[named:begin], "big")
         if end > len(data):
             raise ZmtpError("the properties of READY are truncated")
-        found[data[at + 1 : named].lower()] = data[begin:end]
+        values[data[at + 1 : named].lower()] = data[begin:end]
         at = end
-    return found
+    return values
 
 
 class Parser:
@@ -184,9 +184,9 @@ class Parser:
             if self._count <= _MAX_KEPT_FRAMES + 1:
                 self._frames.append(body)
             if not self._flags & MORE_FLAG:
-                found = Message(self._frames, self._size)
+                complete = Message(self._frames, self._size)
                 self._frames, self._count, self._size, self._truncated = [], 0, 0, False
-                return found
+                return complete
         return None
 
     def _greeting(self) -> Greeted | None:

@@ -48,17 +48,17 @@ def draft7(schema: Json) -> Json:
         return [draft7(each) for each in schema]
     if not isinstance(schema, dict):
         return schema
-    found = {key: draft7(value) for key, value in schema.items() if key != _OPEN_API_KEYWORD}
-    if isinstance(found.get("properties"), dict):
+    result = {key: draft7(value) for key, value in schema.items() if key != _OPEN_API_KEYWORD}
+    if isinstance(result.get("properties"), dict):
         # pydantic's title of a property only repeats its key.
-        found["properties"] = {key: _untitled(each) for key, each in found["properties"].items()}  # type: ignore[union-attr]
-    if "prefixItems" in found:
-        found["items"] = found.pop("prefixItems")
-    if found.get("default", 0) is None:
-        del found["default"]
-    if "$ref" in found and len(found) > 1:
-        found = {"allOf": [{"$ref": found.pop("$ref")}], **found}
-    return found
+        result["properties"] = {key: _untitled(each) for key, each in result["properties"].items()}  # type: ignore[union-attr]
+    if "prefixItems" in result:
+        result["items"] = result.pop("prefixItems")
+    if result.get("default", 0) is None:
+        del result["default"]
+    if "$ref" in result and len(result) > 1:
+        result = {"allOf": [{"$ref": result.pop("$ref")}], **result}
+    return result
 
 
 def _untitled(schema: Json) -> Json:
@@ -85,10 +85,10 @@ def params_model(method: str) -> type[Model]:
 def params_schemas() -> Schemas:
     """Return the schemas of the params of all methods, and of the models that they refer to, by the models' names."""
     models = {params_model(method): None for method in METHOD_PARAMS} | {Scene: None, Material: None}
-    _, found = models_json_schema(
+    _, document = models_json_schema(
         [(model, "validation") for model in models], ref_template=f"{SCHEMA_REF_PREFIX}{{model}}"
     )
-    schemas = cast(Schemas, draft7(closed(cast(Json, found["$defs"]))))
+    schemas = cast(Schemas, draft7(closed(cast(Json, document["$defs"]))))
     kinds = [model.__name__ for model in _kinds()]
     schemas["MaterialPatch"] = _model_patch("Material", schemas)
     for kind in kinds:
@@ -125,10 +125,10 @@ def _model_patch(name: str, schemas: Schemas) -> dict[str, Json]:
 
     Keys that the model lacks may be null: a patch that changes an object's `kind` must remove keys of the old kind.
     """
-    found = {key: value for key, value in schemas[name].items() if key in _PATCH_KEYWORDS}
-    found["description"] = f"A JSON Merge Patch. {found['description']}"
-    found["properties"] = {key: _member_patch(value, schemas) for key, value in _properties(found).items()}
-    return {**found, "additionalProperties": _NULL_SCHEMA}
+    patch = {key: value for key, value in schemas[name].items() if key in _PATCH_KEYWORDS}
+    patch["description"] = f"A JSON Merge Patch. {patch['description']}"
+    patch["properties"] = {key: _member_patch(value, schemas) for key, value in _properties(patch).items()}
+    return {**patch, "additionalProperties": _NULL_SCHEMA}
 
 
 def _member_patch(schema: dict[str, Json], schemas: Schemas) -> Json:
@@ -156,10 +156,10 @@ def _without_words(schema: dict[str, Json]) -> dict[str, Json]:
 
 def _mapping_patch(schema: dict[str, Json]) -> dict[str, Json]:
     """Return the schema of a merge patch (RFC 7396) of a mapping whose keys are names."""
-    found = {key: value for key, value in _without_words(schema).items() if key != "propertyNames"}
+    patch = {key: value for key, value in _without_words(schema).items() if key != "propertyNames"}
     patterns = cast(Schemas, schema["patternProperties"])
-    found["patternProperties"] = {pattern: {"anyOf": [value, _NULL_SCHEMA]} for pattern, value in patterns.items()}
-    return {**found, "additionalProperties": _NULL_SCHEMA}
+    patch["patternProperties"] = {pattern: {"anyOf": [value, _NULL_SCHEMA]} for pattern, value in patterns.items()}
+    return {**patch, "additionalProperties": _NULL_SCHEMA}
 
 
 def _referred_patch(reference: str, schemas: Schemas) -> Json:
