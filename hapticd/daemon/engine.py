@@ -626,14 +626,14 @@ class Engine:
                 yield self._changes.popleft()
 
     def read_samples(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move samples from the servo into `buffer` (SAMPLE_DTYPE); return the numbers of moved and dropped ones.
+        """Move samples from the servo into `buffer` (SAMPLE_DTYPE); return their number and the total of dropped ones.
 
         For one thread at a time; another thread may read events at the same time.
         """
         return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, buffer)
 
     def read_events(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move events from the servo into `buffer` (EVENT_DTYPE); return the numbers of moved and dropped ones."""
+        """Move events from the servo into `buffer` (EVENT_DTYPE); return their number and the total of dropped ones."""
         return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, buffer)
 
     def touching(self) -> list[str]:

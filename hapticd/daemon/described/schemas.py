@@ -43,7 +43,7 @@ _OPEN_API_KEYWORD: Final = "discriminator"
 
 
 def draft7(schema: Json) -> Json:
-    """Return a JSON Schema in draft 7: `items` for lists of fixed length, no member next to `$ref`, no default null."""
+    """Convert a JSON Schema to draft 7: `items` describes tuples, `$ref` stands alone, and no default is null."""
     if isinstance(schema, list):
         return [draft7(each) for each in schema]
     if not isinstance(schema, dict):
