@@ -65,7 +65,7 @@ class Client(methods.Client):
     """The methods of the protocol, by the same names; each returns its result as a dictionary.
 
     A client belongs to the event loop in which it was created. Every method raises RemoteError if the daemon refuses
-    the call, and DaemonNotRunning if it does not reply within `timeout_s`.
+    the call, and DaemonNotRunning if no reply arrives within `timeout_s`.
     """
 
     def __init__(self, place: RuntimePaths, timeout_s: float = REPLY_TIMEOUT_S) -> None:

@@ -190,7 +190,7 @@ class _Block(AbstractContextManager[T]):
 class Client:
     """The methods of the protocol, by the same names; each returns its result as a dictionary.
 
-    Every method raises RemoteError if the daemon refuses the call, and DaemonNotRunning if it does not reply within
+    Every method raises RemoteError if the daemon refuses the call, and DaemonNotRunning if no reply arrives within
     `timeout_s`. A failed call is not repeated.
     """
 

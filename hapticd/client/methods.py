@@ -325,7 +325,7 @@ class Client(ABC):
         return end
 
     async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
-        """Take the lease, or renew that of `token`, for `duration_s` from now; 0 ends it.
+        """Take the lease, or renew the lease of `token`, for `duration_s` from now; 0 ends the lease.
 
         One client at a time can hold the lease. If the lease is not renewed in time, the daemon fades the forces out.
         """
@@ -384,7 +384,7 @@ class Client(ABC):
     ) -> AsyncIterator[Recorder]:
         """Record every tick and event to `path` while the `with` block runs: .npz, or .csv or .mcap exported from it.
 
-        A thread with a separate connection records, from before the block begins until all its effects are recorded.
+        A thread with a separate connection records, from before the block until all effects of the block are recorded.
         `notes` are JSON values, which are stored in the file. Yields a Recorder, whose `result` is available after the
         block. Raises HapticdError before the block if `path` already exists (unless `overwrite`) or cannot be written,
         and after the block if the recording ended early. Warns (MissedPeriods) after the block if the servo missed too
@@ -548,9 +548,9 @@ class Subscription(Generic[T]):
         return await self._client._in_thread(places.no_telemetry, self._client.paths, self._timeout_s)
 
     async def receive(self, timeout_s: float) -> T | None:
-        """Return the next item, or None if none arrives within `timeout_s`, in s; with 0 do not wait.
+        """Return the next item, or None if no item arrives within `timeout_s`; with 0 do not wait.
 
-        Raises InvalidError if `timeout_s` is negative or not finite. Unlike the iterator it raises nothing if the
+        Raises InvalidError if `timeout_s` is negative or not finite. Unlike the iterator, it raises nothing if the
         daemon is silent.
         """
         deadline_s = time.monotonic() + arguments.seconds("timeout_s", timeout_s, zero=True)

@@ -312,8 +312,8 @@ class _Session:
 class _Scenes:
     """Scene and materials of the daemon: read at the start, then updated by each change.
 
-    If changes were lost, or one was too large to be sent, everything is read again. The recording lacks the revisions
-    in between, and reports them.
+    If a change was lost or too large to be sent, scene and materials are read again. The recording lacks the revisions
+    in between, and lists them as missing.
     """
 
     def __init__(self, client: Daemon, writer: RecordingWriter) -> None:
@@ -353,7 +353,7 @@ class _Scenes:
         self._used.update(np.unique(revisions).tolist())
 
     def apply(self, change: dict[str, Any]) -> None:
-        """Apply a message of the topic `change` to scene and materials, and write it to the recording."""
+        """Apply a message of the topic `change` to scene and materials, and write the message to the recording."""
         if "revision" not in change:
             self._writer.write_change(change)
             return
@@ -414,7 +414,7 @@ def _changes(before: Mapping[str, object], after: Mapping[str, object]) -> dict[
 class _Interval:
     """The recorded interval of the daemon's time, from the first received sample on.
 
-    Events are sent before the samples of their ticks, so all events of an interval have arrived when its samples have.
+    Events are sent before the samples of their ticks. So all events of an interval arrive before its last samples.
     """
 
     def __init__(self, duration_s: float | None) -> None:

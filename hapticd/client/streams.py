@@ -36,7 +36,7 @@ _CLOSE_LINGER_MS: Final = 1000
 
 
 class Sender:
-    """Sends streamed targets of the simulated hand and forces of one client. It is thread-safe."""
+    """Sends streamed targets of the simulated hand and forces of one client; thread-safe."""
 
     def __init__(self, place: RuntimePaths, timeout_s: float) -> None:
         self._place, self._timeout_s = place, timeout_s
@@ -157,7 +157,7 @@ class AlreadySent:
 class Stream(Generic[Sent]):
     """A stream of targets and forces, for `with daemon.stream() as stream`, or `async with` in asyncio.
 
-    A message is sent when the method is called, from any thread. In asyncio it may be awaited to let other tasks run.
+    A message is sent when a method is called, from any thread. In asyncio, await the call to let other tasks run.
     """
 
     def __init__(self, sender: Sender, sent: Sent) -> None:

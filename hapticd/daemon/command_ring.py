@@ -94,7 +94,7 @@ class CommandRing:
         )
 
     def wait(self, taken: Callable[[int, CData], int], failure: str) -> int:
-        """Wait until the function `taken` returns OK, and return the tick that it stored.
+        """Wait until the function `taken` returns OK, and return the tick that `taken` stored.
 
         `taken` gets the nanoseconds that it may wait, and where to store the tick. Between two calls the servo is
         polled, because only this thread can restart it after an overload. Raises WaitTimeoutError, whose text begins

@@ -58,7 +58,7 @@ class _Change:
     """Whether the change is in force or was refused."""
 
     def run_slice(self) -> Result | None:
-        """Continue the change for CHANGE_SLICE_NS, and return its result, or None if it is not complete.
+        """Continue the change for CHANGE_SLICE_NS; return the result, or None if the change is not complete.
 
         Raises MethodError if the change is refused.
         """

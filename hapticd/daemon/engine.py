@@ -377,7 +377,7 @@ class Engine:
 
         `materials` are those after the change, `sent` the names of those that the request contains. The reports are of
         the materials of `objects`, of those in `sent` and of those that the change affects. Each step computes one
-        filter or one material. Call `forget_prepared` once the change is made or given up.
+        filter or one material. Call `forget_prepared` once the change is made or abandoned.
         """
         reports = {}
         for name in dict.fromkeys([*sent, *used_materials(objects), *self._compiler.changing(materials)]):
@@ -390,7 +390,7 @@ class Engine:
         return reports
 
     def forget_prepared(self) -> None:
-        """Release the filters that `prepared` computed for a change which is now made or given up."""
+        """Release the filters that `prepared` computed for a change that was made or abandoned."""
         self._compiler.forget_prepared()
 
     def wait_revision(self, revision: int) -> int:
@@ -479,7 +479,7 @@ class Engine:
     def play(
         self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
     ) -> tuple[int, float | None]:
-        """Strike a ringing mode; return the tick that took it and the displayed frequency (None: too high).
+        """Strike a mode; return the tick that took the command, and the displayed frequency (None: the mode is silent).
 
         After a WaitTimeoutError the mode may still be struck, at the rate that the servo has then.
         """
@@ -528,7 +528,7 @@ class Engine:
         return tick
 
     def set_forces(self, enabled: bool) -> int:
-        """Turn forces on or off, and return the tick that did it. Turning on clears faults whose cause has ended."""
+        """Turn forces on or off, and return the tick that did so. Turning on clears faults whose cause has ended."""
         command = self._command(CommandKind.FORCES)
         command.value = enabled
         return self._ring.send([command])
@@ -550,7 +550,7 @@ class Engine:
         return tick
 
     def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None:
-        """Send the servo a target of the simulated hand, in m, or a force, in N, which replaces the previous value.
+        """Send the servo a target of the simulated hand, in m, or a force, in N. The newest value applies.
 
         Raises HapticdError for a number that is not finite, and for a target beyond 1000 m or without a simulated hand.
         """
@@ -620,7 +620,7 @@ class Engine:
         return read_histograms(self._servo)
 
     def read_changes(self) -> Iterator[Change]:
-        """Yield the changes, plays and resets that commands made since the last call. Only one thread may call it."""
+        """Yield the changes, plays and resets that commands made since the last call. For one thread."""
         with suppress(IndexError):
             while True:
                 yield self._changes.popleft()

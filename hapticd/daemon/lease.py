@@ -44,7 +44,7 @@ class Lease:
         return remaining if remaining > 0 else None
 
     def request(self, duration_s: float, token: str | None) -> str | None:
-        """Take, renew or, with a duration of 0, end the lease on the forces; return its token, None after its end.
+        """Take or renew the lease on the forces, or end it with a duration of 0; return the token, None after the end.
 
         Raises LeaseHeldError while another token holds the lease, LeaseLapsedError for a token that holds no lease.
         """

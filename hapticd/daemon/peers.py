@@ -131,7 +131,7 @@ class Peers:
     """ZMTP socket types that peers may have."""
 
     def __init__(self, listening: socket.socket, limits: Limits) -> None:
-        """Serve the peers of the socket `listening`, which must not block. `close` closes it."""
+        """Serve the peers of `listening`, a non-blocking socket that `close` closes."""
         self._listening, self._limits = listening, limits
         self._repeats = Repeats()
         self._peers: dict[int, Peer] = {}

@@ -63,7 +63,7 @@ def sample_map(sample: np.void) -> dict[str, object]:
 
 
 def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
-    """Return for each object the index of its last event, mapped to the number of its events."""
+    """Return a mapping from the index of each object's last event to the number of the object's events."""
     objects = events["slot"].astype(np.uint64) << np.uint64(32) | events["generation"]
     _, first, counts = np.unique(objects[::-1], return_index=True, return_counts=True)
     return dict(zip((len(events) - 1 - first).tolist(), counts.tolist(), strict=True))

@@ -56,7 +56,7 @@ class Bounds:
 class Message:
     """A complete message: its first three frames, and the size of all frames, in bytes.
 
-    If it is longer than `Bounds.kept` or has more than two frames, only the first byte of each frame is kept.
+    If the message is longer than `Bounds.kept` or has more than two frames, only the first byte of each frame is kept.
     """
 
     frames: list[bytes]

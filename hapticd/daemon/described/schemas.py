@@ -132,7 +132,7 @@ def _model_patch(name: str, schemas: Schemas) -> dict[str, Json]:
 
 
 def _member_patch(schema: dict[str, Json], schemas: Schemas) -> Json:
-    """Return the schema of a member of a merge patch: null, or a patch if the member is an object, else its value."""
+    """Return the schema of a member of a merge patch: null, the patch of an object, or another value."""
     about = {"description": schema["description"]} if "description" in schema else {}
     options = cast(
         "list[dict[str, Json]]", schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf") or [schema]
@@ -189,7 +189,7 @@ class _AnyJson:
 
 
 def schema_of(kind: Any) -> dict[str, Json]:
-    """Return the JSON Schema of a type of protocol/results, with its docstring as description."""
+    """Return the JSON Schema of a type of protocol/results; the docstring of the type is the description."""
     if kind is _AnyJson:
         return {}
     if kind in _JSON_TYPE_NAMES:
