@@ -9,7 +9,7 @@
     record          recordings of a running daemon, for a duration or while a block of code runs
     flight_summary  the contents of a flight file
     watch           the live view of `hapticd watch`
-    base            connecting a socket, and warnings at the line of the caller
+    base            connecting a socket, time-outs, warnings at the line of the caller
 
 Questions, and where to begin:
 

@@ -6,7 +6,6 @@ It runs the coroutines of `methods.py` on an event loop; several calls may run a
 from __future__ import annotations
 
 import asyncio
-import math
 import os
 from collections.abc import Awaitable, Callable, Coroutine, Generator
 from typing import Any, TypeVar, cast
@@ -17,7 +16,7 @@ import zmq.asyncio
 from hapticd.base import arguments
 from hapticd.base.errors import HapticdError
 from hapticd.client import blocking, methods
-from hapticd.client.base import connect_commands
+from hapticd.client.base import connect_commands, milliseconds
 from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
 from hapticd.protocol.calls import REPLY_TIMEOUT_S
@@ -63,10 +62,10 @@ class Connecting:
 
 
 class Client(methods.Client):
-    """The methods of the daemon, with the names of the protocol; each returns its result as a dictionary.
+    """The methods of the protocol, by the same names; each returns its result as a dictionary.
 
     A client belongs to the event loop in which it was created. Every method raises RemoteError if the daemon refuses
-    the call, and DaemonNotRunning if it does not reply within `timeout_s`.
+    the call, and DaemonNotRunning if no reply arrives within `timeout_s`.
     """
 
     def __init__(self, place: RuntimePaths, timeout_s: float = REPLY_TIMEOUT_S) -> None:
@@ -125,7 +124,7 @@ class Client(methods.Client):
     async def _receive(self, socket: zmq.Socket[Any], timeout_s: float) -> list[bytes]:
         # asyncio.timeout could cancel recv_multipart after it has taken a message, which would be lost.
         awaited = cast(zmq.asyncio.Socket, socket)
-        if not await awaited.poll(min(math.ceil(timeout_s * 1e3), 2**31 - 1)):
+        if not await awaited.poll(milliseconds(timeout_s)):
             raise zmq.Again
         return await awaited.recv_multipart(zmq.NOBLOCK)
 

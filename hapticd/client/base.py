@@ -1,7 +1,8 @@
-"""Functions that the modules of clients share: connecting a socket, and warnings at the line of the caller."""
+"""Functions that the modules of clients share: connecting a socket, time-outs, warnings at the line of the caller."""
 
 from __future__ import annotations
 
+import math
 import sys
 import warnings
 from typing import Any, Final
@@ -22,8 +23,13 @@ def connect_commands(socket: zmq.Socket[Any], place: RuntimePaths) -> None:
     socket.connect(place.command_endpoint)
 
 
+def milliseconds(timeout_s: float) -> int:
+    """Return a time-out in ms for ZeroMQ, rounded up, and at most the largest int32."""
+    return min(math.ceil(timeout_s * 1e3), 2**31 - 1)
+
+
 def warn(warning: Warning) -> None:
-    """Issue a warning at the line that called the client: the nearest stack frame outside this package."""
+    """Issue a warning at the line that called the client: that of the nearest stack frame outside this package."""
     frame, level = sys._getframe(1), 2
     while frame.f_globals.get("__name__", "").startswith(_OWN_MODULES) and frame.f_back is not None:
         frame, level = frame.f_back, level + 1

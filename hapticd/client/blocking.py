@@ -8,7 +8,6 @@ to one thread.
 from __future__ import annotations
 
 import inspect
-import math
 import os
 import threading
 import time
@@ -21,7 +20,7 @@ import zmq
 from hapticd.base import arguments
 from hapticd.base.threads import in_background
 from hapticd.client import methods, streams
-from hapticd.client.base import connect_commands
+from hapticd.client.base import connect_commands, milliseconds
 from hapticd.client.methods import Response, Wait
 from hapticd.protocol import calls
 from hapticd.protocol.calls import REPLY_TIMEOUT_S
@@ -63,8 +62,8 @@ class _OnThread(methods.Client):
     def _open(self) -> zmq.Socket[bytes]:
         self._refuse_closed()
         socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-        socket.setsockopt(zmq.SNDTIMEO, _milliseconds(self.timeout_s))
-        socket.setsockopt(zmq.RCVTIMEO, _milliseconds(self.timeout_s))
+        socket.setsockopt(zmq.SNDTIMEO, milliseconds(self.timeout_s))
+        socket.setsockopt(zmq.RCVTIMEO, milliseconds(self.timeout_s))
         connect_commands(socket, self.paths)
         self._socket = socket
         return socket
@@ -77,8 +76,8 @@ class _OnThread(methods.Client):
                 socket.send(body)
                 # Replies to calls that were interrupted may arrive first.
                 while True:
-                    answered, response = calls.decode_response(socket.recv())
-                    if answered in (id, None):
+                    answered_id, response = calls.decode_response(socket.recv())
+                    if answered_id in (id, None):
                         return response
                     if time.monotonic() > deadline_s:
                         raise zmq.Again
@@ -98,7 +97,7 @@ class _OnThread(methods.Client):
         return zmq.Context.instance().socket(zmq.SUB)
 
     async def _receive(self, socket: zmq.Socket[Any], timeout_s: float) -> list[bytes]:
-        socket.setsockopt(zmq.RCVTIMEO, _milliseconds(timeout_s))
+        socket.setsockopt(zmq.RCVTIMEO, milliseconds(timeout_s))
         return socket.recv_multipart()
 
     @staticmethod
@@ -123,10 +122,6 @@ class _OnThread(methods.Client):
         return Client(self.paths.directory, self.timeout_s)
 
 
-def _milliseconds(timeout_s: float) -> int:
-    return min(math.ceil(timeout_s * 1e3), 2**31 - 1)
-
-
 def run(coroutine: Coroutine[Any, Any, T]) -> T:
     """Run a coroutine of a blocking client and return its result."""
     try:
@@ -139,7 +134,7 @@ def run(coroutine: Coroutine[Any, Any, T]) -> T:
 
 
 def _like(method: F, described: Callable[..., Any]) -> F:
-    """Give `method` the name, the signature and the docstring of the coroutine that it runs, and return it."""
+    """Return `method` with the name, the signature and the docstring of `described`, which it runs."""
     made: Any = method
     signature = inspect.signature(described)
     result = signature.return_annotation.replace("AsyncIterator", "Iterator")
@@ -193,9 +188,9 @@ class _Block(AbstractContextManager[T]):
 
 
 class Client:
-    """The methods of the daemon, with the names of the protocol; each returns its result as a dictionary.
+    """The methods of the protocol, by the same names; each returns its result as a dictionary.
 
-    Every method raises RemoteError if the daemon refuses the call, and DaemonNotRunning if it does not reply within
+    Every method raises RemoteError if the daemon refuses the call, and DaemonNotRunning if no reply arrives within
     `timeout_s`. A failed call is not repeated.
     """
 

@@ -15,10 +15,10 @@ from hapticd.recording.recording import load
 def written_flight(client: Client) -> str:
     """Have the flight recorder write a file, wait until it is complete, and return its path on the daemon's machine.
 
-    Raises HapticdError if it cannot be written.
+    Raises HapticdError if the file cannot be written.
     """
     file = client.dump_flight()["file"]
-    # The file appears when it is complete; if it does not, the status has the reason.
+    # The file appears when it is complete. If it does not appear, the status has the reason.
     while not os.path.exists(file):
         flight = client.get_status()["flight"]
         if flight is None or (flight["under_way"] == 0 and flight["problem"] is not None):
@@ -39,12 +39,12 @@ def summed_up(written: str, copy: str | None, overwrite: bool) -> tuple[dict[str
     if copy is not None:
         recording.save(copy, overwrite)
     file, ticks, missed = copy or written, len(recording.samples), recording.missed_periods
-    found: dict[str, object] = {
+    summary: dict[str, object] = {
         "file": file,
         "ticks": ticks,
         "duration_s": (ticks + missed) / recording.rate_hz,
         "missed_periods": missed,
         "events": len(recording.events),
     }
-    line = f"{file}: {wording.count(ticks, 'tick')} in {found['duration_s']:.3f} s, {missed_text(missed, ticks)}, "
-    return found, line + wording.count(len(recording.events), "event")
+    line = f"{file}: {wording.count(ticks, 'tick')} in {summary['duration_s']:.3f} s, {missed_text(missed, ticks)}, "
+    return summary, line + wording.count(len(recording.events), "event")

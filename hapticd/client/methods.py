@@ -62,9 +62,9 @@ T = TypeVar("T")
 Stream: TypeAlias = streams.Stream[streams.AlreadySent]
 Response: TypeAlias = object | RemoteError
 Wait: TypeAlias = Callable[[float], Awaitable[bool]]
-"""A function that waits for a number of seconds, and returns true if the work has to end before that."""
+"""A function that waits for a number of seconds, and returns true as soon as the work has to end."""
 READY_TOPIC: Final = b"state"
-"""Topic whose first message shows that a subscription is in effect; the daemon publishes it 60 times a second."""
+"""Topic whose first message shows that all subscriptions are in effect; it is published 60 times a second."""
 
 
 class Client(ABC):
@@ -168,10 +168,7 @@ class Client(ABC):
         return cast(RevisionResult, await self.call(method, params))
 
     async def get_status(self, detail: bool = False) -> Status:
-        """Return version, device, rate, real-time rights, revision, tick, forces, faults and counters.
-
-        With `detail` also histograms.
-        """
+        """Return the daemon's status: device, rate, revision, forces, faults, counters; with `detail` histograms."""
         return cast(Status, await self.call("get_status", {"detail": True} if detail else {}))
 
     async def get_state(self) -> State:
@@ -239,7 +236,7 @@ class Client(ABC):
     ) -> RevisionResult:
         """Set materials as `set_materials` does and the scene as `set_scene` does, as one change at one tick.
 
-        If one of them is invalid, nothing is changed.
+        If materials or scene are invalid, nothing is changed.
         """
         params: dict[str, object] = {}
         if materials is not None:
@@ -256,7 +253,7 @@ class Client(ABC):
         direction: Iterable[float] = (0.0, 1.0),
         amplitude_m_per_s2: float,
     ) -> PlayResult:
-        """Play a ringing mode, or a material's tap vibration, along `direction` [x, y], whether or not in contact."""
+        """Strike a mode, or the mode of a material's tap or rupture, along `direction` [x, y], in contact or not."""
         params: dict[str, object] = {
             "direction": arguments.numbers("direction", direction),
             "amplitude_m_per_s2": amplitude_m_per_s2,
@@ -282,7 +279,7 @@ class Client(ABC):
     async def set_forces(self, enabled: bool) -> ForcesResult:
         """Turn forces on or off.
 
-        Turning them on clears a latched fault if its cause is gone, and is refused (-32003) otherwise.
+        `set_forces(True)` clears the latched faults whose cause has ended, and is refused (-32003) if a fault remains.
         """
         return cast(ForcesResult, await self.call("set_forces", {"enabled": enabled}))
 
@@ -328,7 +325,7 @@ class Client(ABC):
         return end
 
     async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
-        """Take the lease, or renew that of `token`, for `duration_s` from now; 0 ends it.
+        """Take the lease, or renew the lease of `token`, for `duration_s` from now; 0 ends the lease.
 
         One client at a time can hold the lease. If the lease is not renewed in time, the daemon fades the forces out.
         """
@@ -347,12 +344,12 @@ class Client(ABC):
 
     @asynccontextmanager
     async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:
-        """Hold the lease, without whose renewal the forces fade out, while the `with` block runs; yields its token.
+        """Hold the lease, which keeps the forces on, while the `with` block runs; yields the token of the lease.
 
         A thread renews the lease three times within `duration_s`, over a separate connection. If the process ends, the
         forces fade out. In asyncio a task renews it, so the forces also fade out if the event loop is blocked for
-        `duration_s`. Raises at the end of the block if the lease was lost. Warns (ForcesOff) if a fault keeps the
-        forces off until `set_forces(True)`.
+        `duration_s`. Raises RemoteError at the end of the block if the lease was lost. Warns (ForcesOff) at its start
+        if a fault keeps the forces off.
         """
         lease = await self.lease(duration_s)
         token = lease["token"]
@@ -387,7 +384,7 @@ class Client(ABC):
     ) -> AsyncIterator[Recorder]:
         """Record every tick and event to `path` while the `with` block runs: .npz, or .csv or .mcap exported from it.
 
-        A thread with a separate connection records, from before the block begins until all its effects are recorded.
+        A thread with a separate connection records, from before the block until all effects of the block are recorded.
         `notes` are JSON values, which are stored in the file. Yields a Recorder, whose `result` is available after the
         block. Raises HapticdError before the block if `path` already exists (unless `overwrite`) or cannot be written,
         and after the block if the recording ended early. Warns (MissedPeriods) after the block if the servo missed too
@@ -411,8 +408,8 @@ class Client(ABC):
 
         The servo interpolates linearly between messages. If no message arrives within the time-out (20 ms by default),
         a force fades to zero and the hand stays. The end of the block sends a force of zero. Messages do not wait for
-        replies. The first of each kind, and then one every half second, requests a reply: if the daemon refuses a
-        message, a later message or the end of the block raises RemoteError; if forces are off, ForcesOff is warned.
+        replies. The first of each kind, and then one every half second, requests a reply. If the daemon refuses a
+        message, a later message or the end of the block raises RemoteError. Warns (ForcesOff) if forces are off.
         """
         self._refuse_closed()
         return Stream(self._sender, streams.AlreadySent())
@@ -454,7 +451,7 @@ class Client(ABC):
     def telemetry(
         self, *topics: Topic, timeout_s: float | None = None
     ) -> Subscription[tuple[Topic, dict[str, object]]]:
-        """Subscribe to several topics on one telemetry socket; items are pairs (topic, message) in the sent order."""
+        """Subscribe to several topics on one socket; items are pairs (topic, message), in the order of the daemon."""
         return Subscription(self, topics, lambda topic, message: (topic, message), timeout_s)
 
 
@@ -551,9 +548,9 @@ class Subscription(Generic[T]):
         return await self._client._in_thread(places.no_telemetry, self._client.paths, self._timeout_s)
 
     async def receive(self, timeout_s: float) -> T | None:
-        """Return the next item, or None if none arrives within `timeout_s`, in s; with 0 do not wait.
+        """Return the next item, or None if no item arrives within `timeout_s`; with 0 do not wait.
 
-        Raises InvalidError if `timeout_s` is negative or not finite. Unlike the iterator it raises nothing if the
+        Raises InvalidError if `timeout_s` is negative or not finite. Unlike the iterator, it raises nothing if the
         daemon is silent.
         """
         deadline_s = time.monotonic() + arguments.seconds("timeout_s", timeout_s, zero=True)
@@ -591,7 +588,7 @@ class Subscription(Generic[T]):
 
 
 def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) -> GestureEnd | None:
-    """Return the event at the end of the hand motion set at a tick, or None if `message` does not report that end.
+    """Return the event at the end of the motion that began at `started_tick`; None if `message` does not have it.
 
     Raises HapticdError if the daemon no longer knows the motion.
     """

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
 
 FINAL_CHANGE_TIMEOUT_S: Final = 1.0
-"""Longest wait at the end of a recording for its last tick, and for the change of the scene before it, in s."""
+"""Longest wait at the end of a recording for its last tick, and for the change of the scene before that tick."""
 
 STOPPED_REASON: Final = "stopped"
 """`ended_because` of a recording that was stopped, as in the file."""
@@ -45,14 +45,14 @@ DAEMON_STOPPED_REASON: Final = "the daemon stopped"
 """`ended_because` of a recording whose daemon ended or was killed."""
 
 END_SILENCE_S: Final = 0.2
-"""A daemon whose socket is closed has stopped if no message arrives for this time, in s."""
+"""Time without messages after which a daemon with a closed socket counts as stopped."""
 
 _MAX_SCENE_READS: Final = 10
 """Number of attempts to read a consistent scene and materials while other clients change the materials."""
 
 
 def ended_early(because: str | None) -> str | None:
-    """Return why a recording ended before it was complete or stopped, None if it did not; `because` is any reason."""
+    """Return `because`, the reason why a recording ended, or None if the recording was stopped or complete."""
     return None if because == STOPPED_REASON else because
 
 
@@ -141,10 +141,10 @@ def record(
     """Record every tick and every event to `target`, for `duration_s` of the daemon's time or until `stop` is set.
 
     A stopped recording has all ticks that the daemon had rendered when `stop` was set. If the daemon ends or the disk
-    is full, the recording is completed with what it has. `notes` are stored in it. `progress` is called with the
-    recorded time in s, which is 0 before the first sample; `opened` with the writer, before anything is recorded, so
-    that another thread can read how much is written. Raises HapticdError before anything is recorded if the target
-    cannot be written, or exists and `overwrite` is false.
+    is full, the recording is completed with the data that it received. `notes` are stored in it. `progress` is called
+    with the recorded time in s, which is 0 before the first sample. `opened` is called with the writer before anything
+    is recorded, so that another thread can read how much is written. Raises HapticdError before anything is recorded if
+    the target cannot be written, or exists and `overwrite` is false.
     """
     with recording_into(target, overwrite) as writer:
         opened(writer)
@@ -158,7 +158,7 @@ def record(
             session.ask_status()
         if writer.count == 0:
             raise HapticdError(f"{target}: nothing was recorded{f' ({ended})' if ended else ''}")
-        # Called again if the disk was full and the end of the samples was cut off to make room.
+        # The function is called again if the last samples were removed to make room on a full disk.
         writer.finish(lambda: {"recording": session.account(ended)})
         account = session.account(ended)
         clocks = {name: moment_of(account[name]) for name in ("started", "ended")}
@@ -198,7 +198,7 @@ class _Session:
             self._begin()
             silent_since, ended = time.monotonic(), 0
             while not interval.over:
-                if stop.is_set() and not interval.ends:
+                if stop.is_set() and not interval.stopped:
                     # Everything that happened before the stop is recorded.
                     interval.end_at(self.ask_status())
                     continue
@@ -229,7 +229,7 @@ class _Session:
                 else:
                     self._newest = message
             self._await_changes(messages)
-        return STOPPED_REASON if interval.ends else None
+        return STOPPED_REASON if interval.stopped else None
 
     def ask_status(self) -> int | None:
         """Store the status at the end of the recording, and return the servo's tick; None if there is no reply."""
@@ -255,7 +255,7 @@ class _Session:
                 self._scenes.apply(received[1])
 
     def _restarted(self) -> bool:
-        """Whether the daemon was restarted; false without a reply: then the missing messages end the recording."""
+        """Return whether the daemon was restarted; false without a reply: missing messages end the recording then."""
         with suppress(DaemonNotRunning):
             return bool(self._client.get_status()["started_ns"] != self._status["started_ns"])
         return False
@@ -312,8 +312,8 @@ class _Session:
 class _Scenes:
     """Scene and materials of the daemon: read at the start, then updated by each change.
 
-    If changes were lost, or one was too large to be sent, everything is read again. The recording lacks the revisions
-    in between, and reports them.
+    If a change was lost or too large to be sent, scene and materials are read again. The recording lacks the revisions
+    in between, and lists them as missing.
     """
 
     def __init__(self, client: Daemon, writer: RecordingWriter) -> None:
@@ -334,7 +334,7 @@ class _Scenes:
         return tuple(sorted(self._used - self._known))
 
     def begin(self) -> dict[str, Any]:
-        """Read and return status, scene and materials at the start of the recording."""
+        """Read and return status, scene and materials at the start of the recording. Raises HapticdError."""
         read = self._read()
         if read is None:
             raise HapticdError("the recording cannot begin: other clients change the materials too fast")
@@ -353,7 +353,7 @@ class _Scenes:
         self._used.update(np.unique(revisions).tolist())
 
     def apply(self, change: dict[str, Any]) -> None:
-        """Apply a message of the topic `change` to scene and materials, and write it to the recording."""
+        """Apply a message of the topic `change` to scene and materials, and write the message to the recording."""
         if "revision" not in change:
             self._writer.write_change(change)
             return
@@ -393,16 +393,15 @@ class _Scenes:
         materials, status = self._materials_and_status()
         for _ in range(_MAX_SCENE_READS):
             scene, after = self._client.get_scene(), self._materials_and_status()
-            if (
-                after[0] == materials and after[1]["rate_hz"] == status["rate_hz"]
-            ):  # so they were the same when the scene was read
+            # If they are the same before and after the scene was read, they belong to the scene.
+            if after[0] == materials and after[1]["rate_hz"] == status["rate_hz"]:
                 rest = dict(scene["scene"])
                 return scene["revision"], rest, cast("dict[str, Any]", rest.pop("objects")), materials, status
             materials, status = after
         return None
 
     def _materials_and_status(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the materials, and the status, which has the rate."""
+        """Return the materials, and the status with the rate of the servo."""
         return dict(self._client.get_materials()["materials"]), dict(self._client.get_status(detail=True))
 
 
@@ -415,7 +414,7 @@ def _changes(before: Mapping[str, object], after: Mapping[str, object]) -> dict[
 class _Interval:
     """The recorded interval of the daemon's time, from the first received sample on.
 
-    Events are sent before the samples of their ticks, so all events of an interval have arrived when its samples have.
+    Events are sent before the samples of their ticks. So all events of an interval arrive before its last samples.
     """
 
     def __init__(self, duration_s: float | None) -> None:
@@ -428,20 +427,20 @@ class _Interval:
         self._queued: list[dict[str, Any]] = []
         self._last_tick = 0
         self._give_up_at = 0.0
-        self.ends = False
+        self.stopped = False
         """Whether the recording was stopped."""
         self._complete: bool = False
 
     @property
     def over(self) -> bool:
         """Whether the recorded interval is complete."""
-        if not self.ends:
+        if not self.stopped:
             return self._complete
         return self._complete or self._end_tick > self._last_tick or time.monotonic() > self._give_up_at
 
     def end_at(self, tick: int | None) -> None:
-        """End the recorded interval after this tick, at the latest after a time-out; with None end it now."""
-        self.ends, self._complete = True, self._complete or tick is None
+        """End the recorded interval after this tick, or at the time-out if the tick does not come; None: end it now."""
+        self.stopped, self._complete = True, self._complete or tick is None
         self._last_tick = tick or 0
         self._give_up_at = time.monotonic() + FINAL_CHANGE_TIMEOUT_S
 
@@ -504,7 +503,7 @@ class Recorder:
         overwrite: bool,
         notes: Mapping[str, object],
     ) -> None:
-        """Prepare a recording; `connect` returns a client for its thread. Raises InvalidError for notes beyond JSON."""
+        """Prepare a recording; `connect` returns a client for its thread. Raises InvalidError if notes are not JSON."""
         self.path = arguments.path("path", path)
         self._connect = connect
         self._overwrite = arguments.flag("overwrite", overwrite)
@@ -540,17 +539,17 @@ class Recorder:
         """
         self._stop.set()
         if self._done is None:
-            raise HapticdError(f"{self.path}: not recorded")
+            raise HapticdError(f"{self.path}: the recording has not begun")
         result = self._done.result()
         if ended_early(result.ended_because) is not None:
             raise HapticdError(f"{result.ended_because}; {result.file} has everything before that")
-        found: list[Warning] = []
+        warnings: list[Warning] = []
         if result.lost:
             lost = wording.count(result.lost, "sample")
-            found.append(TelemetryLoss(f"{result.file}: {lost} were lost between daemon and recording"))
+            warnings.append(TelemetryLoss(f"{result.file}: {lost} were lost between daemon and recording"))
         if result.warning is not None:
-            found.append(MissedPeriods(f"{result.file}: {result.warning}"))
-        return found
+            warnings.append(MissedPeriods(f"{result.file}: {result.warning}"))
+        return warnings
 
     def _record(self) -> RecordSummary:
         with self._connect() as client:

@@ -20,9 +20,9 @@ class SampleBatch(np.ndarray[tuple[int], np.dtype[np.void]]):
     first_tick: int
     """Tick of the first sample."""
     dropped: int
-    """Samples that the daemon has dropped since its start, because its ring was full."""
+    """Number of samples that the daemon has dropped since its start, because its ring was full."""
     lost: int
-    """Samples between the previous batch and this one that the daemon sent and this subscriber did not receive."""
+    """Number of samples since the previous batch that were sent and not received."""
 
     def __array_finalize__(self, obj: object) -> None:
         self.first_tick = getattr(obj, "first_tick", 0)
@@ -55,7 +55,7 @@ class SampleStream:
         self._next_tick: int | None = None
         self._dropped_before = 0
         self._early = 0
-        """Samples that `dropped` already counts although their gap has not arrived."""
+        """Number of samples that `dropped` counts before their gap has arrived."""
         self.received = 0
         """Number of received samples."""
         self.lost = 0
@@ -75,11 +75,8 @@ class SampleStream:
         if len(batch):
             batch.lost = self._account(batch)
         if batch.lost and self._warn:
-            warn(
-                TelemetryLoss(
-                    f"{batch.lost} samples before tick {batch.first_tick} were lost: the subscriber reads too slowly"
-                )
-            )
+            lost = f"{batch.lost} samples before tick {batch.first_tick} were lost"
+            warn(TelemetryLoss(f"{lost}: the subscriber reads too slowly"))
         return batch
 
     def _account(self, batch: SampleBatch) -> int:

@@ -54,7 +54,7 @@ def scene_tree(scene: SceneSource) -> Mapping[str, object]:
 
 
 def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
-    """Return a merge patch as a mapping for the request. In a file it is at the keys `path`, or at the top level.
+    """Return a merge patch as a mapping for the request. A file has it at the keys `path`, or at the top level.
 
     Raises HapticdError for a file that cannot be read or has no mapping, InvalidError for a file that is not YAML or
     has other keys next to `path`.

@@ -26,17 +26,17 @@ Sent = TypeVar("Sent")
 """Type of the result of `target` and `force`: None, or with asyncio AlreadySent."""
 
 REPLY_REQUEST_PERIOD_S: Final = 0.5
-"""Period in which one message of each kind has an id, in s. The reply to it reports errors."""
+"""Period in which one message of each kind requests a reply, which reports errors."""
 _MAX_QUEUED_MESSAGES: Final = 200
 """Largest number of messages queued while the daemon does not read; further ones are dropped."""
 _PROBE_PERIOD_S: Final = 0.1
-"""Shortest time between two checks whether a daemon listens, in s."""
+"""Shortest time between two checks whether a daemon listens."""
 _CLOSE_LINGER_MS: Final = 1000
-"""Longest time after `close` in which queued messages are still sent, in ms."""
+"""Longest time after `close` in which queued messages are still sent."""
 
 
 class Sender:
-    """Sends streamed targets of the simulated hand and forces of one client. It is thread-safe."""
+    """Sends streamed targets of the simulated hand and forces of one client; thread-safe."""
 
     def __init__(self, place: RuntimePaths, timeout_s: float) -> None:
         self._place, self._timeout_s = place, timeout_s
@@ -111,12 +111,12 @@ class Sender:
             raise places.no_answer(self._place, self._timeout_s)
 
     def _request(self, method: str, params: Mapping[str, object]) -> bytes:
-        """Return the body of a streamed message that requests a reply."""
+        """Return the body of a request with a new id, `_last_id`, so that the daemon replies."""
         self._last_id += 1
         return messages.request(self._last_id, method, params)
 
     def close(self) -> None:
-        """Close the connection for good. Queued messages are still sent, for at most a second."""
+        """Close the connection for good. Queued messages are still sent for up to a second."""
         with self._lock:
             if self._socket is not None:
                 self._socket.close()
@@ -146,7 +146,7 @@ class Sender:
 
 
 class AlreadySent:
-    """An awaitable for a message that is already sent; awaiting it lets other tasks run."""
+    """An awaitable for a message that is already sent; to await it lets other tasks run."""
 
     def __await__(self) -> Generator[Any, None, None]:
         from asyncio import sleep  # not imported for a blocking client
@@ -157,7 +157,7 @@ class AlreadySent:
 class Stream(Generic[Sent]):
     """A stream of targets and forces, for `with daemon.stream() as stream`, or `async with` in asyncio.
 
-    A message is sent when the method is called, from any thread. In asyncio it may be awaited to let other tasks run.
+    A message is sent when a method is called, from any thread. In asyncio, await the call to let other tasks run.
     """
 
     def __init__(self, sender: Sender, sent: Sent) -> None:
@@ -176,8 +176,8 @@ class Stream(Generic[Sent]):
 
         Raises DaemonNotRunning, or RemoteError if the daemon has refused an earlier message.
         """
-        most = MAX_COMPONENT_BY_KIND["target"]
-        self._sender.send("target", arguments.within("x", x, most, "m"), arguments.within("y", y, most, "m"))
+        limit_m = MAX_COMPONENT_BY_KIND["target"]
+        self._sender.send("target", arguments.within("x", x, limit_m, "m"), arguments.within("y", y, limit_m, "m"))
         return self._sent
 
     def force(self, fx: float, fy: float) -> Sent:
@@ -185,8 +185,8 @@ class Stream(Generic[Sent]):
 
         Raises DaemonNotRunning, or RemoteError if the daemon has refused an earlier message.
         """
-        most = MAX_COMPONENT_BY_KIND["force"]
-        self._sender.send("force", arguments.within("fx", fx, most, "N"), arguments.within("fy", fy, most, "N"))
+        limit_n = MAX_COMPONENT_BY_KIND["force"]
+        self._sender.send("force", arguments.within("fx", fx, limit_n, "N"), arguments.within("fy", fy, limit_n, "N"))
         self._pushed = True
         return self._sent
 
@@ -212,7 +212,7 @@ class Stream(Generic[Sent]):
             await to_thread(self._sender.settle)
 
     def _end_force(self, error: BaseException | None) -> None:
-        """Send a force of zero if a force was streamed. Raises errors only if the `with` block has raised none."""
+        """Send a force of zero if a force was streamed. Raises HapticdError, unless the block raised `error`."""
         if self._pushed:
             self._pushed = False
             with nullcontext() if error is None else suppress(HapticdError):

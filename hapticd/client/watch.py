@@ -28,22 +28,22 @@ from hapticd.protocol.calls import Topic
 from hapticd.protocol.results import State, Status
 
 FRAME_PERIOD_S: Final = 1 / 15
-"""Time between two pictures, in s."""
+"""Time between two pictures."""
 LOST_AFTER_S: Final = 1.5
-"""Time without messages after which the daemon is shown as lost, in s. The daemon sends its status every second."""
+"""Time without messages after which the daemon is shown as lost; it sends its status every second."""
 PANEL_WIDTH: Final = 33
-"""Width of the figures next to the picture, in characters."""
+"""Width of the column of values next to the picture, in characters."""
 EVENT_LINES: Final = 4
 """Number of events below the picture."""
 MIN_HALF_VIEW_M: Final = 0.08
-"""Smallest distance from the middle of the picture to its upper edge, in m."""
+"""Smallest distance from the middle of the picture to its upper edge."""
 
 _BAR_WIDTH: Final = 12
 """Width of the bar of a force, in characters."""
 _LINE_LABELS: Final = ("tick", "position", "force x", "force y", "touching", "rate", "lateness", "missed", "faults")
-"""Labels of the figures that a line for a file or a pipe shows."""
+"""Labels of the values that a line for a file or a pipe shows."""
 _QUIET_EVENTS: Final = frozenset(("release", "overrun"))
-"""Events that are not listed, since the figures `touching` and `missed` show them."""
+"""Events that are not listed, since the values `touching` and `missed` show them."""
 
 
 class View:
@@ -144,7 +144,7 @@ class View:
         return Text.assemble((left.ljust(max(0, width - len(right))), "reverse"), (right, style))
 
     def _rows(self) -> Iterator[tuple[str, str, str, str]]:
-        """Yield the figures next to the picture: label, bar, value and style of each."""
+        """Yield the rows next to the picture: label, bar, value and style of each."""
         state, status = self.state, self.status
         if state is None:
             return
@@ -239,7 +239,7 @@ def event_line(event: Mapping[str, Any]) -> str:
 
 
 def bar(value: float, scale: float, width: int) -> str:
-    """Return a bar of `width` characters that grows from the left; it is full if `value` is `scale` or more."""
+    """Return a bar of `width` characters that grows from the left; `scale` is the value of a full bar."""
     filled = min(width, round(abs(value) / scale * width))
     return "█" * filled + "·" * (width - filled)
 

@@ -22,7 +22,7 @@ Telemetry and status:
     publisher        the telemetry socket: sends those messages to subscribers
     counters         the servo's counters, read from the structs of csrc/api/
     status           the result of `get_status`
-    status_text      the status as lines of text; clients use it, too
+    status_text      the status as lines of text, for `hapticd status`
     flight_recorder  keeps the last seconds of telemetry; the flight thread writes them on a fault or on request
     flight_scene     the scene at the beginning of those seconds, and its changes since
 
@@ -39,6 +39,6 @@ Questions, and where to begin:
         base/model (_fault) phrases the problems of keys and values.
     Where does a sample go?
         telemetry drains it; publisher sends it; flight_recorder keeps it.
-    What ends the force?
-        csrc/servo/hd_servo_watch.c, or the tick itself; Python only reports it.
+    What turns the force off at a fault?
+        csrc/servo/hd_servo_watch.c, or the tick itself; Python only reports the fault.
 """

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from hapticd.hid.offload import EffectUse
 
 COMMAND_TIMEOUT_S: Final = 1.0
-"""Time within which the servo must take a command. docs/protocol.md states it."""
+"""Time within which the servo must take a command, as docs/protocol.md states."""
 _MAX_PENDING_PLAYS: Final = 4096
-"""Modes of `play` that are kept until they are struck: at least the capacity of the servo's command ring."""
+"""Largest number of plays that are kept until they are struck: at least the capacity of the command ring."""
 SERVO_POLL_INTERVAL_NS: Final = 50_000_000
-"""Interval in which the command thread polls the servo (Engine.poll_servo)."""
+"""Shortest time between two polls of the servo by the command thread (Engine.poll_servo)."""
 
 
 class RingFullError(HapticdError):
@@ -69,7 +69,7 @@ class CommandRing:
         return command
 
     def send(self, commands: list[CData], play: Play | None = None) -> int:
-        """Send commands together and return the tick that took them.
+        """Send commands together, and return the tick that took the last one.
 
         `play`: the mode that the command strikes. Raises RingFullError, WaitTimeoutError.
         """
@@ -82,7 +82,7 @@ class CommandRing:
         batch = ffi.new("struct hd_command[]", [command[0] for command in commands])
         status = lib.hd_servo_send(self._servo, batch, len(commands), self._sequence)
         if status == Status.ERR_FULL:
-            raise RingFullError(f"the command ring has no room for {len(commands)} more")
+            raise RingFullError(f"the servo's command ring has no room for {len(commands)} more commands")
         if status != Status.OK:
             raise HapticdError(invalid_reason())
         return int(self._sequence[0])
@@ -94,7 +94,7 @@ class CommandRing:
         )
 
     def wait(self, taken: Callable[[int, CData], int], failure: str) -> int:
-        """Wait until the function `taken` returns OK, and return the tick that it stored.
+        """Wait until the function `taken` returns OK, and return the tick that `taken` stored.
 
         `taken` gets the nanoseconds that it may wait, and where to store the tick. Between two calls the servo is
         polled, because only this thread can restart it after an overload. Raises WaitTimeoutError, whose text begins

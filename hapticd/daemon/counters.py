@@ -29,7 +29,7 @@ class Granted:
 
     @classmethod
     def of(cls, grant: CData, servo: Servo, idle_states_held: bool, missing: Sequence[str]) -> Granted:
-        """Combine a `struct hd_grant`, the configured processor, the idle-state lock and the missing privileges."""
+        """Combine a `struct hd_grant`, the processor in `servo`, the idle-state lock and the missing privileges."""
         return cls(
             scheduler="fifo" if grant.priority else "other",
             priority=grant.priority,
@@ -52,7 +52,7 @@ class Granted:
 
 
 def missing_of(grant: CData, servo: Servo) -> list[str]:
-    """Describe the configured privileges that a `struct hd_grant` says were refused, each with its reason."""
+    """Return a line for each configured privilege that was refused according to `grant`, a `struct hd_grant`."""
     missing = []
     if grant.scheduler:
         missing.append(f"SCHED_FIFO priority {servo.priority}: {os.strerror(grant.scheduler)}")
@@ -105,10 +105,9 @@ class Counters(NamedTuple):
     """Fraction of the periods of the last complete second that were missed."""
     signs_word: int
     energy_j: float
-    """Energy that the touched objects gave to the hand in the current or last contact, according to the passivity
-    observer. Negative: the hand gave more than it got."""
+    """Energy that touched objects gave to the hand in the current or last contact. Negative: the hand gave more."""
     largest_j: float
-    """The largest energy of any contact in J, counted like `energy_j`."""
+    """The largest `energy_j` of any contact."""
     contacts: int
     """Number of contacts, each from the first touch to the last release."""
     restrained: int

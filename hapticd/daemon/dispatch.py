@@ -1,9 +1,8 @@
 """The command thread: takes requests from `router.py`, answers them, and sends the servo a heartbeat between them.
 
-Requests that change the scene or materials are carried out one at a time, in the order of their arrival, and in steps:
-between two steps other requests are answered (docs/adr/0002, 0024, 0058). A reload of the configuration is such a
-change; all signals that arrive before it begins cause one reload. The heartbeat shows the servo that this
-thread is alive.
+Requests that change the scene or materials are carried out one at a time, in the order of their arrival, and in steps.
+Between two steps other requests are answered (docs/adr/0002, 0024, 0058). A reload of the configuration is also a
+change; all signals that arrive before it begins cause one reload. The heartbeat shows the servo that this thread runs.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ from hapticd.system import notify
 from hapticd.system.repeated_lines import Repeats
 
 MAX_WAITING_CHANGES: Final = 64
-"""Requested changes of scene or configuration that may wait to be carried out. docs/protocol.md states it."""
+"""Largest number of requested changes, including the one under way, as docs/protocol.md states."""
 MAX_WAITING_CHANGE_BYTES: Final = 2 * messages.MAX_BODY_BYTES
-"""Largest size of the bodies of all waiting changes together."""
+"""Largest size of the bodies of all requested changes together, as docs/protocol.md states."""
 CHANGE_SLICE_NS: Final = 5_000_000
-"""Time that a change runs before other requests are served; it stops at its next pause (step)."""
+"""Time after which a change stops at the end of its present step, so that other requests are served."""
 BEAT_INTERVAL_S: Final = 0.1
 """Longest time between two heartbeats. A servo that gets none for a second fades the forces out."""
 CHORES_INTERVAL_S: Final = 0.02
@@ -59,7 +58,7 @@ class _Change:
     """Whether the change is in force or was refused."""
 
     def run_slice(self) -> Result | None:
-        """Continue the change for CHANGE_SLICE_NS, and return its result, or None if it is not complete.
+        """Continue the change for CHANGE_SLICE_NS; return the result, or None if the change is not complete.
 
         Raises MethodError if the change is refused.
         """
@@ -94,7 +93,7 @@ class Dispatch:
         """Changes in the order in which they came; the first one is under way."""
         self._reload = threading.Event()
         self._reload_waits = False
-        """A reload is among the changes and has not begun."""
+        """Whether a reload is among the changes and has not begun."""
 
     @property
     def busy(self) -> bool:
@@ -139,7 +138,7 @@ class Dispatch:
         """Queue the reload that `ask_reload` requested. Must be called often, and soon after `wake`."""
         if self._reload.is_set() and not self._reload_waits:
             self._reload_waits = True
-            # The outcome of the reload is logged, also an unexpected error.
+            # Nobody gets the answer: the outcome of the reload, also an unexpected error, is logged.
             self._add(_Change(messages.Request(0, True, "reload", {}), self._reloading(), _notify_ready, 0))
 
     def continue_change(self) -> None:

@@ -83,23 +83,20 @@ SAMPLE_CAPACITY: Final = 16384
 """Capacity of the ring of samples: more than a second at 10 kHz, longer than a garbage collection."""
 
 DEVICE_TIMEOUT_S: Final = 0.1
-"""The device counts as lost if its newest report is older than usual by this time."""
+"""Time by which the newest report may be older than usual before the device counts as lost."""
 FROZEN_FORCE_FRACTION: Final = 0.1
-"""Fraction of the maximum force. A position that does not change under so large a force counts as frozen.
-
-`device.frozen_after_s` enables the check.
-"""
+"""Fraction of the maximum force above which an unchanged position counts as frozen (`device.frozen_after_s`)."""
 MAX_UNSENT_CHANGES: Final = 1024
-"""Most changes that wait to be sent to subscribers; beyond this number the oldest are dropped."""
+"""Largest number of changes that wait to be sent to subscribers; beyond it the oldest are dropped."""
 
 MIN_STEP_DOWN_RATE_HZ: Final = 1000.0
-"""Lowest rate to which an overload may reduce the rate of the servo (a step down)."""
+"""Lowest rate to which the servo steps down after an overload."""
 
 _log = logging.getLogger("hapticd")
 
 
 class StaleRevisionError(HapticdError):
-    """A change names an expected revision (number of a change) that is not in force; the change was not made."""
+    """A change was not made, because the revision (number of a change) that it expects is not in force."""
 
 
 class State(NamedTuple):
@@ -117,7 +114,7 @@ class Engine:
         """Open the device, make the servo and compile the configuration's scene; no thread runs yet.
 
         `stop_file`: records how to stop a real device after the daemon was killed. Raises InvalidError for filters and
-        frequencies that are impossible at this rate, and HapticdError.
+        frequencies that are impossible at this rate, and HapticdError for a device that cannot be opened.
         """
         servo = config.servo
         self.config = config
@@ -380,7 +377,7 @@ class Engine:
 
         `materials` are those after the change, `sent` the names of those that the request contains. The reports are of
         the materials of `objects`, of those in `sent` and of those that the change affects. Each step computes one
-        filter or one material. Call `forget_prepared` once the change is made or given up.
+        filter or one material. Call `forget_prepared` once the change is made or abandoned.
         """
         reports = {}
         for name in dict.fromkeys([*sent, *used_materials(objects), *self._compiler.changing(materials)]):
@@ -393,7 +390,7 @@ class Engine:
         return reports
 
     def forget_prepared(self) -> None:
-        """Release the filters that `prepared` computed for a change which is now made or given up."""
+        """Release the filters that `prepared` computed for a change that was made or abandoned."""
         self._compiler.forget_prepared()
 
     def wait_revision(self, revision: int) -> int:
@@ -407,19 +404,19 @@ class Engine:
         )
 
     def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
-        """Return vibrations of too high a frequency for the rate, and warnings of inexact display. For any thread."""
+        """Return the vibrations that are above 0.4 of the rate, and all other display warnings. For any thread."""
         scene, materials, _ = self.state
         objects = of_all_materials(scene.objects)
         reports = {name: self.report_of(name, each) for name, each in materials_in(objects, materials).items()}
         self._reports = dict(reports)
         played = self.played()
-        lacking = [one for each in reports.values() for one in each.undisplayable]
-        found = [one for each in reports.values() for one in each.warnings]
-        found += warnings(objects, {}, self.output)
-        return [one for one in lacking if (one.material, one.mode) not in played], found
+        muted = [one for each in reports.values() for one in each.undisplayable]
+        others = [one for each in reports.values() for one in each.warnings]
+        others += warnings(objects, {}, self.output)
+        return [one for one in muted if (one.material, one.mode) not in played], others
 
     def report_of(self, name: str, material: Material) -> MaterialReport:
-        """Return the cached report of muted vibrations and inexact display of a material. For any thread."""
+        """Return the cached report of what is not displayed as written in a material. For any thread."""
         known = self._reports.get(name)
         if known is None or known.material is not material or known.output is not self.output:
             known = self._reports[name] = MaterialReport.of(name, material, self.output)
@@ -450,11 +447,11 @@ class Engine:
             return None
         slots = list(self._compiler.touched if touched else self._compiler.slots())
         names = self._compiler.names_of(slots)
-        found = self._margins.of(self._compiler, slots)
-        return {name: margin if margin < math.inf else None for name, margin in zip(names, found, strict=True)}
+        margins = self._margins.of(self._compiler, slots)
+        return {name: margin if margin < math.inf else None for name, margin in zip(names, margins, strict=True)}
 
     def name_of(self, slot: int, generation: int) -> str | None:
-        """Return the id of the object that an event names by slot and generation; None: no object."""
+        """Return the id of the object that an event identifies by slot and generation; None: no object."""
         return self._compiler.name_of(slot, generation)
 
     def events_read(self, revision: int) -> None:
@@ -482,7 +479,7 @@ class Engine:
     def play(
         self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
     ) -> tuple[int, float | None]:
-        """Strike a ringing mode; return the tick that took it and the displayed frequency (None: too high).
+        """Strike a mode; return the tick that took the command, and the displayed frequency (None: the mode is silent).
 
         After a WaitTimeoutError the mode may still be struck, at the rate that the servo has then.
         """
@@ -531,7 +528,7 @@ class Engine:
         return tick
 
     def set_forces(self, enabled: bool) -> int:
-        """Turn forces on or off, and return the tick that did it. Turning on clears faults whose cause has ended."""
+        """Turn forces on or off, and return the tick that did so. Turning on clears faults whose cause has ended."""
         command = self._command(CommandKind.FORCES)
         command.value = enabled
         return self._ring.send([command])
@@ -553,7 +550,7 @@ class Engine:
         return tick
 
     def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None:
-        """Send the servo a new target of the simulated hand, m, or a force, N. The new value replaces the last.
+        """Send the servo a target of the simulated hand, in m, or a force, in N. The newest value applies.
 
         Raises HapticdError for a number that is not finite, and for a target beyond 1000 m or without a simulated hand.
         """
@@ -565,7 +562,7 @@ class Engine:
         return read_stream_counters(self._servo, kind)
 
     def operator(self) -> dict[str, object] | None:
-        """Return the first tick of the last `set_operator`, and the last events `gesture_end`. For any thread.
+        """Return the member `operator` of a status: the last start and the last ends of motions. For any thread.
 
         Returns None without a simulated hand.
         """
@@ -602,7 +599,7 @@ class Engine:
             raise
 
     def take_mark(self, number: int) -> Mark:
-        """Return the mark that an event names by `number`, and release the mark. For the thread that reads events."""
+        """Return the mark with the number in an event, and release the mark. For the thread that reads events."""
         return self._marks.take(number)
 
     def set_lease(self, deadline_ns: int) -> None:
@@ -623,20 +620,20 @@ class Engine:
         return read_histograms(self._servo)
 
     def read_changes(self) -> Iterator[Change]:
-        """Yield the changes, plays and resets that commands made since the last call. Only one thread may call it."""
+        """Yield the changes, plays and resets that commands made since the last call. For one thread."""
         with suppress(IndexError):
             while True:
                 yield self._changes.popleft()
 
     def read_samples(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move samples from the servo into `buffer` (SAMPLE_DTYPE); return their number and the total dropped.
+        """Move samples from the servo into `buffer` (SAMPLE_DTYPE); return their number and the total of dropped ones.
 
-        For one thread at a time; another may read events at the same time.
+        For one thread at a time; another thread may read events at the same time.
         """
         return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, buffer)
 
     def read_events(self, buffer: npt.NDArray[np.void]) -> tuple[int, int]:
-        """Move events from the servo into `buffer` (EVENT_DTYPE); return their number and the total dropped."""
+        """Move events from the servo into `buffer` (EVENT_DTYPE); return their number and the total of dropped ones."""
         return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, buffer)
 
     def touching(self) -> list[str]:

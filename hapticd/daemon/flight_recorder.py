@@ -1,9 +1,9 @@
 """The flight recorder: keeps the last seconds of samples and events, and writes them on a fault or on request.
 
-The telemetry thread passes all samples and events to it. Samples are kept in a circular array of fixed size (1.1 MB a
-second at 10 kHz); flight_scene.py keeps their scene, so that a file suffices to render them again. A separate thread
-writes a copy of the array, so that no other thread waits for the disk. The file of a fault is begun FAULT_AFTERMATH_S
-after the fault, so that it shows the consequences.
+The telemetry thread passes all samples and events to the recorder. Samples are kept in a circular array of fixed size
+(1.1 MB a second at 10 kHz). flight_scene.py keeps their scene, so that a file suffices to render them again. A separate
+thread writes a copy of the array, so that no other thread waits for the disk. The file of a fault is written
+FAULT_AFTERMATH_S after the fault, so that it shows the consequences.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from hapticd.recording.missed_periods import MAX_LISTED_GAPS, gaps_of, missed_pe
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 FAULT_AFTERMATH_S: Final = 1.0
-"""Time after a fault that its file includes."""
+"""Time after a fault that the file of the fault includes."""
 MAX_KEPT_EVENTS: Final = 5000
-"""Number of events that are kept: the newest ones."""
+"""Largest number of events that are kept; the oldest are dropped."""
 CHUNK_SAMPLES: Final = 3200
-"""Samples that are written in one call: 360 kB."""
+"""Number of samples that are written in one call: 360 kB."""
 _OPAQUE_SAMPLE_DTYPE: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
-"""A sample as opaque bytes: numpy copies members of a record one by one, which takes longer."""
+"""A sample as opaque bytes, which numpy copies faster than the members of a record one by one."""
 CLOCK_READ_INTERVAL_NS: Final = 1_000_000_000
 """Interval in which monotonic and wall-clock time are read, for the start time of a file."""
 
@@ -87,7 +87,7 @@ class Flight:
         texts: Callable[[], Mapping[str, object]] = dict,
         read_clock: Callable[[], Moment] = clock.read,
     ) -> None:
-        """Keep the last `seconds` of samples in memory, and the newest `keep` files in `directory`.
+        """Keep samples of the last `seconds` in memory, and the newest `keep` files in `directory`.
 
         `texts` returns the configuration and the status, which a file contains as well.
         """
@@ -97,12 +97,12 @@ class Flight:
         self._now_ns, self._texts = now_ns, texts
         self._samples = np.zeros(round((seconds + FAULT_AFTERMATH_S) * rate_hz), _OPAQUE_SAMPLE_DTYPE)
         self._count = 0
-        """Number of samples that came. Modulo the array's length it is the index of the next one."""
+        """Number of samples received. Modulo the length of `_samples` it is the index of the next one."""
         self._events: deque[dict[str, object]] = deque(maxlen=MAX_KEPT_EVENTS)
         self._lock = threading.Lock()
         self._pending: list[_PendingFile] = []
         self._dumping = False
-        """A requested file is with the writer. The next one waits for it, which limits the copies in memory."""
+        """Whether a file that a client requested is being written. The next one waits, which limits the memory."""
         self._number = max((int(match[1]) for _, match in self._files()), default=0)
         self._quiet_until_ns = 0
         self._repeats = Repeats()
@@ -119,14 +119,14 @@ class Flight:
 
     def keep_samples(self, samples: npt.NDArray[np.void]) -> None:
         """Copy a batch of samples, of SAMPLE_DTYPE and shape (n,), into the circular array."""
-        most = len(self._samples)
-        batch = samples[-most:].view(_OPAQUE_SAMPLE_DTYPE)
-        place = self._count % most
-        until_end = most - place
+        capacity = len(self._samples)
+        batch = samples[-capacity:].view(_OPAQUE_SAMPLE_DTYPE)
+        place = self._count % capacity
+        until_end = capacity - place
         self._samples[place : place + len(batch)] = batch[:until_end]
         self._samples[: len(batch[until_end:])] = batch[until_end:]
         self._count += len(batch)
-        oldest = self._samples.view(SAMPLE_DTYPE)[self._count % most if self._count > most else 0]
+        oldest = self._samples.view(SAMPLE_DTYPE)[self._count % capacity if self._count > capacity else 0]
         while self._events and int(str(self._events[0]["tick"])) < oldest["tick"]:
             self._events.popleft()
         self._scene.forget(int(oldest["tick"]), int(oldest["revision"]))
@@ -154,7 +154,7 @@ class Flight:
             self._request("fault", tick, now_ns + round(FAULT_AFTERMATH_S * 1e9))
 
     def hand_over_due(self, kept_ns: int) -> None:
-        """Pass the requested files that are due at `kept_ns` to the writer thread. Telemetry is drained up to then."""
+        """Pass the requested files that are due to the writer thread. All telemetry before `kept_ns` was kept."""
         if kept_ns - self._moments[-1].monotonic_ns >= CLOCK_READ_INTERVAL_NS:
             self._moments.append(self._read_clock())
         if not self._pending:
@@ -226,7 +226,7 @@ class Flight:
     # ---- The writer ------------------------------------------------------------------------------------------------
 
     def run(self, stop: threading.Event) -> None:
-        """Write requested files until `wake` is called; files passed before that are still written."""
+        """Write requested files until `wake` is called, and those that were passed before the call."""
         while True:
             try:
                 job = self._jobs.get(timeout=MIN_REPEAT_INTERVAL_S)
@@ -294,8 +294,8 @@ class Flight:
     def _files(self) -> list[tuple[Path, re.Match[str]]]:
         if not self._directory.is_dir():
             return []
-        found = ((path, _FILE_NAME_PATTERN.fullmatch(path.name)) for path in self._directory.iterdir())
-        return [(path, match) for path, match in found if match is not None and path.is_file()]
+        matches = ((path, _FILE_NAME_PATTERN.fullmatch(path.name)) for path in self._directory.iterdir())
+        return [(path, match) for path, match in matches if match is not None and path.is_file()]
 
 
 def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:

@@ -1,7 +1,7 @@
 """The scene at the oldest sample that the flight recorder keeps, and the changes since.
 
-Only the telemetry thread uses this module. Memory is bounded: if more changes than MAX_KEPT_CHANGES come within the
-seconds that are kept, the oldest are applied to the scene. Samples from before these changes cannot be rendered again.
+Only the telemetry thread uses this module. Memory is bounded: while the weight of all kept changes exceeds
+MAX_KEPT_WEIGHT, the oldest change is applied to the scene. Samples from before that change cannot be rendered again.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from itertools import chain
 from typing import Final, NamedTuple
 
 from hapticd.base.merge_patch import replace_members
-from hapticd.base.model import Model
 from hapticd.config.materials import Material, Materials
 from hapticd.config.scene import Scene, SceneObject
 from hapticd.protocol.changes import (
@@ -24,21 +23,22 @@ from hapticd.protocol.changes import (
     Revised,
     change_map,
     part_count,
+    plain,
 )
 
-MAX_KEPT_CHANGES: Final = 4000
-"""Largest sum over the kept changes: 1 each, plus the `part_count` of its parts, plus the number of its reset ids."""
+MAX_KEPT_WEIGHT: Final = 4000
+"""Largest sum of the sizes (`_weight`) of the kept changes."""
 
 
 class _Base(NamedTuple):
-    """The scene at the oldest kept sample, as maps, to which changes are applied one by one."""
+    """The scene at the oldest kept sample: keys of the scene other than `objects`, objects by id, materials by name."""
 
     shown: dict[str, object]
     objects: dict[str, SceneObject]
     materials: dict[str, Material]
 
     def is_too_large(self) -> bool:
-        """Return whether the scene exceeds the limits of a file of the flight recorder."""
+        """Return whether the scene is too large for a file of the flight recorder."""
         everything = chain(self.objects.values(), self.materials.values())
         return len(self.objects) > MAX_FLIGHT_OBJECTS or sum(map(part_count, everything)) > MAX_FLIGHT_PARTS
 
@@ -53,14 +53,14 @@ class History:
     """The scene at the beginning; None: it is too large or unknown."""
     changes: tuple[Change, ...]
     complete_from: int
-    """The tick from which `changes` has every play and reset."""
+    """The tick from which on `changes` has every play and reset."""
 
     def texts(self) -> dict[str, object]:
-        """Return `scene` and `materials` at the oldest sample, as in recordings; None if too large or unknown."""
+        """Return `scene` and `materials` at the oldest sample, as in recordings; both None if too large or unknown."""
         if self.base is None:
             return {"scene": None, "materials": None}
         objects = {id: item.to_dict() for id, item in self.base.objects.items()}
-        shown = {name: _plain(value) for name, value in self.base.shown.items()}
+        shown = {name: plain(value) for name, value in self.base.shown.items()}
         materials = {name: material.to_dict() for name, material in self.base.materials.items()}
         return {"scene": {**shown, "objects": objects}, "materials": materials}
 
@@ -70,17 +70,13 @@ class History:
         return [first, *map(change_map, self.changes)]
 
     def missing(self, revisions: set[int]) -> list[int]:
-        """Return which of the samples' `revisions` have an unknown scene, sorted."""
+        """Return those of the samples' `revisions` whose scene is unknown, sorted."""
         known = {change.revision for change in self.changes if isinstance(change, Revised)}
         return sorted(revisions - known - {self.revision})
 
 
-def _plain(value: object) -> object:
-    return value.to_dict() if isinstance(value, Model) else value
-
-
 class FlightScene:
-    """Keeps the changes that belong to samples that are still kept, and the scene before them."""
+    """Keeps the scene at the oldest kept sample, and all later changes."""
 
     def __init__(self, scene: Scene, materials: Materials, revision: int, rate_hz: float) -> None:
         """Begin with the scene, the materials, the revision (number of the last change) and the rate in force."""
@@ -88,7 +84,7 @@ class FlightScene:
         self._revision = revision
         self._base = _base_of(scene, materials)
         self._lost = False
-        """A revision is missing: the scene is unknown until a change brings a complete scene."""
+        """Whether a revision is missing, so that the scene is unknown until a change has the complete scene."""
         self._changes: deque[Change] = deque()
         self._weight = 0
         self._complete_from = 0
@@ -110,12 +106,12 @@ class FlightScene:
             self.newest = change.revision
         self._changes.append(change)
         self._weight += _weight(change)
-        while self._weight > MAX_KEPT_CHANGES:
+        while self._weight > MAX_KEPT_WEIGHT:
             self._drop()
 
     def forget(self, tick: int, revision: int) -> None:
-        """Drop the changes before `tick`, which has `revision` and is the tick of the oldest sample that is kept."""
-        while self._changes and _is_over(self._changes[0], tick, revision):
+        """Apply and remove the changes up to the oldest kept sample, which has this tick and revision."""
+        while self._changes and _took_effect(self._changes[0], tick, revision):
             self._drop()
 
     def knows(self, revision: int) -> bool:
@@ -123,7 +119,7 @@ class FlightScene:
         return _ahead(self.newest, revision) >= 0
 
     def history(self) -> History:
-        """Return a copy of the scene and the changes that are kept now."""
+        """Return a copy of the scene and the kept changes."""
         known = not self._lost and not self._base.is_too_large()
         base = _Base(*map(dict, self._base)) if known else None  # type: ignore[arg-type]
         return History(self._revision, self._rate_hz, base, tuple(self._changes), self._complete_from)
@@ -149,6 +145,7 @@ def _base_of(scene: Scene, materials: Materials) -> _Base:
 
 
 def _weight(change: Change) -> int:
+    """Return a measure of a change's size: 1, plus the `part_count` of its parts or the number of its reset ids."""
     match change:
         case Played():
             return 1
@@ -158,7 +155,8 @@ def _weight(change: Change) -> int:
             return 1 + sum(map(part_count, chain(change.objects.values(), change.materials.values())))
 
 
-def _is_over(change: Change, tick: int, revision: int) -> bool:
+def _took_effect(change: Change, tick: int, revision: int) -> bool:
+    """Return whether a play or reset took effect before `tick`, or a revision is not later than `revision`."""
     if isinstance(change, Revised):
         return _ahead(revision, change.revision) >= 0
     return change.tick < tick

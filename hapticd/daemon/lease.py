@@ -1,7 +1,7 @@
 """The lease: forces stay on only while a client renews it, by token, before its deadline.
 
-`methods.py` converts its exceptions to the protocol's errors. The servo watches the deadline, so that it holds even if
-Python hangs or dies.
+`methods.py` converts the exceptions to the protocol's errors. The servo checks the deadline, even if Python hangs or
+dies.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from collections.abc import Callable
 from typing import Final
 
 MAX_LEASE_DURATION_S: Final = 3600.0
-"""Longest duration of a lease. docs/protocol.md states it."""
+"""Longest duration of a lease, as docs/protocol.md states."""
 
 
 class LeaseHeldError(Exception):
-    """Another client holds the lease, on which the forces depend (Code.LEASE_HELD)."""
+    """A client with another token holds the lease (Code.LEASE_HELD)."""
 
 
 class LeaseLapsedError(Exception):
@@ -44,9 +44,9 @@ class Lease:
         return remaining if remaining > 0 else None
 
     def request(self, duration_s: float, token: str | None) -> str | None:
-        """Take, renew or, with a duration of 0, end the lease on the forces; return its token, None after its end.
+        """Take or renew the lease on the forces, or end it with a duration of 0; return the token, None after the end.
 
-        Raises LeaseHeldError while another token holds it, LeaseLapsedError for a token that holds no lease.
+        Raises LeaseHeldError while another token holds the lease, LeaseLapsedError for a token that holds no lease.
         """
         held = self.remaining_s is not None
         if held and (token is None or not secrets.compare_digest(token.encode(), (self._token or "").encode())):

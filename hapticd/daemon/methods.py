@@ -73,11 +73,11 @@ from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 _log = logging.getLogger("hapticd")
 _MAX_PARAM_MEMBERS: Final = 16
-"""Members of `params` above which a request is refused unread. No method takes as many."""
+"""Largest number of members of `params`, checked before their values; no method has more parameters."""
 
 
 class _Proposed(NamedTuple):
-    """The scene and materials of a requested change. Names of materials and limits of the rate are still unchecked."""
+    """Scene and materials of a requested change, before the checks of material names and of limits of the rate."""
 
     scene: Scene
     materials: Materials
@@ -86,39 +86,39 @@ class _Proposed(NamedTuple):
     root: Path = ()
     """The place of `objects` in the request, for error messages."""
     sent: Collection[str] = ()
-    """Names of those materials that the request contains."""
+    """Names of the materials that the request contains."""
     changed: Collection[str] | None = ()
     """Ids of the objects that may differ or are removed; None: all objects must be compared."""
 
 
 class _Changed(NamedTuple):
-    """A change of scene or materials that is in force, or will be from the next tick on."""
+    """A change of scene or materials that takes effect at the next tick, or has already done so."""
 
     revision: int
     wait: bool
     """Whether the answer waits for the first tick of this revision and contains it."""
     warnings: list[Problem]
     margins: dict[str, float | None] | None
-    """Margins, as of Engine.margins, of the surfaces that were added or changed."""
+    """Stability margins of the surfaces that were added or changed (Engine.margins)."""
 
 
 CHANGE_METHODS: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))
 """Methods that change scene or materials. They may take seconds and run in steps; all others take milliseconds."""
 Result: TypeAlias = dict[str, object] | Encoded
 FIRST_STATE_TIMEOUT_S: Final = 1.0
-"""Time that `get_state` waits for the first tick."""
+"""Time that `get_state` waits for the first tick; other requests wait too."""
 _FIRST_STATE_POLL_S: Final = 0.001
-"""Interval in which `get_state` polls for the first tick, which no event signals."""
+"""Interval in which `get_state` polls for the first tick."""
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 
 
 def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
-    """Return the result of a method with a member `warnings` if there are any."""
+    """Return `result` with a member `warnings`, or unchanged if there are none."""
     return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
 
 
 def _with_margins(result: dict[str, object], margins: dict[str, float | None] | None) -> dict[str, object]:
-    """Return the result of a method with a member `margins`, the stability margins of surfaces, if they are known."""
+    """Return `result` with a member `margins`, the stability margins of surfaces, or unchanged if they are unknown."""
     return result if margins is None else {**result, "margins": margins}
 
 
@@ -138,7 +138,7 @@ class Methods:
         self._flight = flight
         self._read_state = read_state
         self.repeats = Repeats()
-        """Limits the log lines that clients cause. The caller of the methods must flush it."""
+        """Limits the log lines that clients cause. The caller of the methods must call its `flush`."""
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self.streams = Streams(engine, engine.connection is None, round(1e9 * engine.config.servo.stream_timeout_s))
         self._sender: object = None
@@ -213,7 +213,7 @@ class Methods:
             raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
 
     def stream(self, method: str, params: Mapping[str, object], sender: object) -> dict[str, object]:
-        """Take a streamed target or force of the connection `sender`, and count a refused one. Raises MethodError."""
+        """Accept a streamed target or force from a connection; count a refused one. Raises MethodError."""
         self._sender = sender
         try:
             return cast("dict[str, object]", self.perform(method, params))
@@ -267,7 +267,7 @@ class Methods:
         return (yield from self._take(params, new))
 
     def _take(self, params: ChangeParams, new: _Proposed) -> Steps[_Changed]:
-        """Compile a scene and its materials, put both in force at one tick. Raises InvalidError, StaleRevisionError."""
+        """Compile a scene and its materials, and put them in force. Raises InvalidError, StaleRevisionError."""
         engine, output = self._engine, None
         # Between two steps the servo may have stepped down to another rate.
         while output is not engine.output:
@@ -369,9 +369,9 @@ class Methods:
             fixed = needing_restart(engine.config, config)
             if fixed:
                 raise InvalidError(fixed)
-            objects, others = config.scene.objects, config.scene.changed_since(engine.scene)
+            objects, changed_ids = config.scene.objects, config.scene.changed_since(engine.scene)
             used = used_materials(objects.values())
-            proposed = _Proposed(config.scene, config.materials, objects, ("scene", "objects"), used, others)
+            proposed = _Proposed(config.scene, config.materials, objects, ("scene", "objects"), used, changed_ids)
             if config.scene == engine.scene and config.materials == engine.materials:
                 # The same objects stay in force, so that nothing is compiled again.
                 proposed = proposed._replace(scene=engine.scene, materials=engine.materials)
@@ -382,7 +382,7 @@ class Methods:
             self._log_reload(logging.ERROR, f"not reloaded: {error}")
             problems = error.problems if isinstance(error, InvalidError) else (Problem("", str(error)),)
             raise InvalidError(problems) from None
-        count = wording.count(len(others), "object")
+        count = wording.count(len(changed_ids), "object")
         self._log_reload(logging.INFO, f"reloaded: revision {changed.revision}, {count} changed")
         return changed
 
@@ -415,26 +415,23 @@ class Methods:
         problems = []
         if math.hypot(*params.direction) < 1e-9:
             problems.append(Problem("direction", "must have a direction: a length of at least 1e-9"))
-        attack = "coefficient"
+        attack, name = "coefficient", params.material or ""
         if params.mode is not None:
             mode = params.mode.mode
         else:
-            material = self._engine.materials.get(params.material or "")
+            material = self._engine.materials.get(name)
             if material is None:
-                names = known_names(params.material or "", self._engine.materials)
-                problems.append(Problem("material", f"unknown material {quoted(params.material or '')}; {names}"))
+                names = known_names(name, self._engine.materials)
+                problems.append(Problem("material", f"unknown material {quoted(name)}; {names}"))
             elif material.tap is not None and material.tap.ringing is None:
-                problem = (
-                    f"the tap of {quoted(params.material or '')} is a waveform, which play cannot strike; give a mode"
-                )
+                problem = f"the tap of {quoted(name)} is a waveform, which play cannot strike; give a mode"
                 problems.append(Problem("material", problem))
             elif material.tap is not None:
                 mode, attack = material.tap.mode, material.tap.attack
             elif material.rupture is not None:
                 mode = material.rupture.mode
             else:
-                problem = f"{quoted(params.material or '')} has neither a tap nor a rupture to play"
-                problems.append(Problem("material", problem))
+                problems.append(Problem("material", f"{quoted(name)} has neither a tap nor a rupture to play"))
         if problems:
             raise InvalidError(problems)
         self._need_forces()
@@ -496,11 +493,7 @@ class Methods:
 
     def _set_operator(self, params: Mapping[str, object]) -> dict[str, object]:
         engine = self._engine
-        if engine.connection is not None:
-            raise MethodError(
-                Code.NO_OPERATOR,
-                f"set_operator: needs the simulated joystick, device.kind is {engine.config.device.kind}",
-            )
+        self._need_simulated_hand("set_operator")
         operator = operator_of(params)
         engine.beat()
         grip = grip_of(engine.config.device.sim)
@@ -514,11 +507,7 @@ class Methods:
         return _with_warnings({"duration_s": float(waypoints[-1, 0]), "tick": tick}, warnings)
 
     def _stream_target(self, params: StreamTargetParams) -> dict[str, object]:
-        if self._engine.connection is not None:
-            raise MethodError(
-                Code.NO_OPERATOR,
-                f"stream_target: needs the simulated joystick, device.kind is {self._engine.config.device.kind}",
-            )
+        self._need_simulated_hand("stream_target")
         self.streams.take(self._sender, "target", params.seq, *params.position_m)
         return {}
 
@@ -537,6 +526,11 @@ class Methods:
     def _target(self, id: str) -> Target | None:
         item = self._engine.scene.objects.get(id)
         return target_of(item, self._engine.materials)
+
+    def _need_simulated_hand(self, method: str) -> None:
+        if self._engine.connection is not None:
+            kind = self._engine.config.device.kind
+            raise MethodError(Code.NO_OPERATOR, f"{method}: needs the simulated joystick, device.kind is {kind}")
 
     def _need_forces(self) -> None:
         counters = self._engine.counters()
@@ -561,7 +555,7 @@ class Methods:
         return f"forces are off because {reasons}: `hapticd force on` or set_forces turns them on again"
 
 
-# The params of `set_operator` are those of an operator file: hapticd.config.operator validates them.
+# The params of `set_operator` are those of an operator file: config/operator.py validates them.
 _METHOD_HANDLERS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "get_status": (GetStatusParams, Methods._get_status),
     "get_state": (NoParams, Methods._get_state),
@@ -585,4 +579,4 @@ _METHOD_HANDLERS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "dump_flight": (NoParams, Methods._dump_flight),
 }
 METHOD_PARAMS: Final[Mapping[str, type[Model] | None]] = {name: model for name, (model, _) in _METHOD_HANDLERS.items()}
-"""The model that validates the params of each method; None: hapticd.config.operator validates them."""
+"""The model that validates the params of each method; None: config/operator.py validates them."""

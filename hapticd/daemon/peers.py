@@ -1,8 +1,8 @@
 """A listening Unix socket and its ZeroMQ peers, for one thread, without libzmq (docs/adr/0024).
 
-A turn serves one peer: at most one read and one message. No peer can use more than its share of descriptors, memory and
-turns: a peer that exceeds a limit is disconnected, and the log names its process and user. `router.py` and
-`publisher.py` are the command and the telemetry socket.
+A turn serves one peer: at most one read and one message. Descriptors and memory of a peer are limited: a peer that
+exceeds a limit is disconnected, and the log names its process and user. `router.py` and `publisher.py` are the command
+and the telemetry socket.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from hapticd.system.open_files import MAX_SOCKET_CONNECTIONS
 from hapticd.system.repeated_lines import Repeats
 
 HANDSHAKE_TIMEOUT_S: Final = 5.0
-"""Time from the connection until its handshake must be complete. docs/protocol.md states it."""
+"""Time after connecting within which the handshake must be complete, as docs/protocol.md states."""
 MAX_UNSENT_BYTES: Final = 256 * 1024
-"""Unsent data of a peer above which nothing is read from it."""
+"""Number of unsent bytes to a peer above which nothing is read from the peer."""
 MAX_READ_BYTES: Final = 64 * 1024
-"""Most bytes read from a peer in one turn."""
+"""Largest number of bytes read from a peer in one turn."""
 
 _MAX_ACCEPTED_PER_TURN: Final = 16
-"""Connections accepted before connected peers get a turn, so that a flood of new connections does not delay them."""
+"""Largest number of connections accepted before connected peers get a turn, so that a flood does not delay them."""
 _MAX_EPOLL_EVENTS: Final = 64
-"""Most events taken from epoll at once."""
+"""Largest number of events taken from epoll at once."""
 _ACCEPT_RETRY_S: Final = 0.1
 """Pause before the next attempt to accept a connection, after the process ran out of descriptors."""
 _MAX_WRITTEN_BYTES_PER_TURN: Final = 1024 * 1024
-"""Bytes written to a peer before other peers get a turn."""
+"""Number of bytes written to a peer after which other peers get a turn."""
 _READ_EVENTS: Final = select.EPOLLIN | select.EPOLLET
 _READ_AND_WRITE_EVENTS: Final = _READ_EVENTS | select.EPOLLOUT
 _UCRED_STRUCT: Final = struct.Struct("3i")
@@ -55,7 +55,7 @@ class Limits:
     connections: int = MAX_SOCKET_CONNECTIONS
     process_connections: int = MAX_SOCKET_CONNECTIONS // 4
     buffers: int = 96 * 1024 * 1024
-    """Most bytes in incomplete messages and in unread answers, of all peers together."""
+    """Largest number of bytes in incomplete messages and unread answers, of all peers together."""
 
     def of(self, connections: int) -> Limits:
         """Return these limits with a different number of connections."""
@@ -64,7 +64,7 @@ class Limits:
 
 @dataclass(eq=False, slots=True)
 class Peer:
-    """A connected ZeroMQ peer. `held`: the bytes that the peer uses of Limits.buffers."""
+    """A connected ZeroMQ peer. `held` is the number of bytes of the peer that count towards Limits.buffers."""
 
     sock: socket.socket
     uid: int
@@ -78,7 +78,7 @@ class Peer:
     out: deque[bytes | memoryview] = field(default_factory=deque)
     unsent: int = 0
     held: int = 0
-    # Used by the telemetry socket only:
+    # Used by the telemetry socket only: subscriptions by prefix, subscriptions to no topic, dropped messages.
     subscriptions: dict[bytes, int] = field(default_factory=dict)
     useless: int = 0
     lost: int = 0
@@ -114,36 +114,36 @@ class TurnQueue:
         """Remove and return the peer to serve next. Raises KeyError if the queue is empty."""
         uid, processes = self._users.popitem(last=False)
         pid, queue = processes.popitem(last=False)
-        found = queue.popleft()
+        peer = queue.popleft()
         if queue:
             processes[pid] = queue
         if processes:
             self._users[uid] = processes
-        return found
+        return peer
 
 
 class Peers:
     """All ZeroMQ peers of one listening socket."""
 
     kind: bytes
-    """ZMTP socket type of this side."""
+    """ZMTP socket type of the listening socket."""
     partners: frozenset[bytes]
     """ZMTP socket types that peers may have."""
 
     def __init__(self, listening: socket.socket, limits: Limits) -> None:
-        """Serve the peers of the socket `listening`, which must not block. `close` closes it."""
+        """Serve the peers of `listening`, a non-blocking socket that `close` closes."""
         self._listening, self._limits = listening, limits
         self._repeats = Repeats()
         self._peers: dict[int, Peer] = {}
         self._owners: dict[int, dict[int, dict[int, Peer]]] = {}
-        """The same peers by user, process and descriptor."""
+        """All peers by user, process and descriptor."""
         self._opening: dict[int, Peer] = {}
         """Peers whose handshake is not complete, the oldest first."""
         self._turns = TurnQueue()
         self._held = 0
         self._woken = False
         self._idle = True
-        """The last poll returned no event, and no peer waited for a turn."""
+        """Whether the last poll returned no event while no peer waited for a turn."""
         self._accept_at_s: float | None = None
         self._space = bytearray(MAX_READ_BYTES)
         self._view = memoryview(self._space)
@@ -178,9 +178,9 @@ class Peers:
     # ---- turns -----------------------------------------------------------------------------------------------------
 
     def _turn(self, timeout_s: float) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
-        """Wait for events, unless a peer already waits, and serve one peer.
+        """Wait for events, unless a peer already waits for a turn, and serve one peer.
 
-        Returns the peer and its message or command if the subclass must handle it.
+        Returns the peer with its message or command if the subclass must handle that, otherwise None.
         """
         if self._opening or self._accept_at_s is not None:
             timeout_s = self._check_deadlines(timeout_s)
@@ -281,7 +281,7 @@ class Peers:
     # ---- sending ---------------------------------------------------------------------------------------------------
 
     def _send(self, peer: Peer, data: bytes, *more: bytes) -> None:
-        """Send bytes to a peer after the earlier ones; bytes that the peer does not accept at once are queued."""
+        """Send data to a peer, after all earlier data; queue the bytes that the peer does not accept at once."""
         if peer.closed:
             return
         if peer.out:
@@ -356,7 +356,7 @@ class Peers:
             peer = Peer(sock, uid, pid, zmtp.Parser(self._limits.message))
             if len(self._owners.get(peer.uid, {}).get(peer.pid, ())) >= self._limits.process_connections:
                 sock.close()
-                self._warn_ended(peer, f"it already has {self._limits.process_connections:,} connections")
+                self._warn_ended(peer, f"the process already has {self._limits.process_connections:,} connections")
                 continue
             self._enter(peer)
             if len(self._peers) > self._limits.connections:
@@ -370,7 +370,7 @@ class Peers:
         self._epoll.register(descriptor, _READ_EVENTS)
 
     def _end(self, peer: Peer, why: str | None = None) -> None:
-        """Close the connection of a peer. `why`: the reason that the log gives; None: nothing is logged."""
+        """Close the connection of a peer. `why`: the reason for the log; None: nothing is logged."""
         if peer.closed:
             return
         peer.closed = True
@@ -401,7 +401,7 @@ class Peers:
         self._accept_at_s = time.monotonic() + pause_s
 
     def _check_deadlines(self, timeout_s: float) -> float:
-        """End an overdue handshake, accept connections again, and return how long to wait for other events, in s."""
+        """End an overdue handshake, resume accepting if it is time, and return the time to wait for events, in s."""
         now_s = time.monotonic()
         if self._opening and now_s - (oldest := next(iter(self._opening.values()))).began_s > HANDSHAKE_TIMEOUT_S:
             self._end(oldest, f"handshake not complete within {wording.duration(HANDSHAKE_TIMEOUT_S)}")
@@ -413,12 +413,12 @@ class Peers:
         return timeout_s
 
     def _most_connected(self) -> Peer:
-        """Return the newest connection of the user with most connections, and of that user's process with most."""
+        """Return the newest connection of the process with most connections, of the user with most connections."""
         processes = max(self._owners.values(), key=lambda each: sum(map(len, each.values())))
         return next(reversed(max(processes.values(), key=len).values()))
 
     def _account(self, peer: Peer) -> None:
-        """Update the memory that a peer uses; while all peers use over Limits.buffers, end the peer that uses most."""
+        """Update `held` of a peer. While the sum exceeds Limits.buffers, disconnect the peer that holds most."""
         held = peer.parser.held + peer.unsent
         if held == peer.held or peer.closed:
             return
@@ -430,5 +430,6 @@ class Peers:
             for each in self._peers.values():
                 users[each.uid] = users.get(each.uid, 0) + each.held
                 processes[each.pid] = processes.get(each.pid, 0) + each.held
-            most = max(self._peers.values(), key=lambda each: (users[each.uid], processes[each.pid], each.held))
-            self._end(most, f"it holds {wording.size(most.held)} of buffers, all clients {wording.size(self._held)}")
+            worst = max(self._peers.values(), key=lambda each: (users[each.uid], processes[each.pid], each.held))
+            size, total = wording.size(worst.held), wording.size(self._held)
+            self._end(worst, f"the connection uses {size} of buffers, all clients {total}")

@@ -3,7 +3,7 @@
     main thread      waits for a signal: requests a reload of the configuration, or stops all threads in order
     command thread   dispatch.py: answers requests, makes changes, sends the servo a heartbeat
     telemetry thread telemetry.py: drains the rings, publishes
-    flight thread    flight_recorder.py: writes the last seconds of telemetry to a file, after a fault
+    flight thread    flight_recorder.py: writes the last seconds of telemetry to a file, on a fault or request
     servo thread     csrc/servo/hd_servo_thread.c: computes the force at each tick
 
 The command socket is bound last: if it exists, the daemon is ready. However the daemon ends, the force fades to zero
@@ -46,13 +46,10 @@ from hapticd.system import journal, notify, open_files
 from hapticd.system.paths import Owned, owned, runtime_paths
 
 SWITCH_INTERVAL_S: Final = 0.0005
-"""Time after which a thread hands over the interpreter (Python's default is 5 ms).
-
-The command thread waits for the interpreter after each system call.
-"""
+"""Time after which a thread hands over the interpreter. Python's default of 5 ms would delay the command thread."""
 
 MAX_LOGGED_MARGINS: Final = 3
-"""Surfaces whose stability margin is logged at the start, the lowest first."""
+"""Largest number of surfaces whose stability margin is logged at the start, the lowest first."""
 
 _HANDLED_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -70,8 +67,7 @@ def run(
 
     `config_paths` are merged in order; without any, the configuration is searched (config/locations.py). A reload reads
     the same files again, or searches again if none was found. `log_level`: one of journal.LOG_LEVELS. Raises
-    HapticdError if the daemon cannot start: invalid configuration, another daemon in the directory, real time required
-    and refused.
+    HapticdError if the daemon cannot start, for example because another daemon uses the runtime directory.
     """
     with ExitStack() as stack:
         memory.return_large_blocks()
@@ -169,8 +165,8 @@ def _log_limits(engine: Engine, granted: Granted, chosen: ConfigFiles) -> None:
 
 def _log_ready(engine: Engine, granted: Granted, command: Path) -> None:
     if engine.connection is not None:
-        found = engine.connection.status()
-        _log.info("device: %s at %s; forces are off until `hapticd force on`", found["name"], found["path"])
+        device = engine.connection.status()
+        _log.info("device: %s at %s; forces are off until `hapticd force on`", device["name"], device["path"])
     _log.info(
         "ready: %s at %s, %s%s, commands at %s",
         engine.config.device.kind,
@@ -192,7 +188,7 @@ def _await_end(signals: socket.socket, dispatch: Dispatch) -> signal.Signals:
 
 
 def _log_end(kind: type[BaseException] | None, *_: object) -> None:
-    """Log the end of the daemon, once all threads have stopped; an error is logged elsewhere."""
+    """Log the end of the daemon, after all threads have stopped. An error is logged elsewhere."""
     if kind is None:
         _log.info("stopped")
 
@@ -242,7 +238,7 @@ def _thread(
     stack: ExitStack,
     wake: Callable[[], None] | None = None,
 ) -> None:
-    """Start a thread that ends the daemon if it fails. The exit of `stack` ends and joins it.
+    """Start a thread whose failure ends the daemon. The exit of `stack` ends and joins the thread.
 
     `wake`: makes the thread check its event while it waits for something else.
     """

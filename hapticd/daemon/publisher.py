@@ -22,16 +22,16 @@ from hapticd.protocol import zmtp
 from hapticd.system.repeated_lines import Since
 
 MAX_QUEUED_MESSAGES: Final = 400
-"""Most messages in the queue of a subscriber: eight seconds of samples."""
+"""Largest number of messages in the queue of a subscriber: eight seconds of samples."""
 MAX_QUEUED_BYTES: Final = 10 * 1024 * 1024
-"""Most bytes in the queue of a subscriber, without the newest message."""
+"""Largest number of bytes in the queue of a subscriber, without the newest message."""
 MAX_USELESS_SUBSCRIPTIONS: Final = 1000
-"""Subscriptions that match no topic, and invalid messages, after which a subscriber is disconnected."""
+"""Number of invalid messages and subscriptions to no topic above which a subscriber is disconnected."""
 
 _MAX_TURNS_PER_WAIT: Final = 20
-"""Served reads and messages of subscribers (turns) after which the thread pauses for the command thread."""
+"""Number of served subscribers (turns) after which the telemetry thread pauses for the command thread."""
 _TURNS_PAUSE_S: Final = 0.005
-"""Length of the pause of the telemetry thread after _MAX_TURNS_PER_WAIT turns, in s."""
+"""Pause of the telemetry thread after _MAX_TURNS_PER_WAIT turns."""
 _LOSS_LOG_INTERVAL_S: Final = 1.0
 """Interval in which dropped messages are logged."""
 
@@ -50,7 +50,7 @@ class Queue:
         self._messages: deque[tuple[bytes, bytes]] = deque()
         self._bytes = 0
         self.dropped = 0
-        """Number of messages dropped since the last log line about it."""
+        """Number of messages dropped since the last log line about them."""
 
     def __len__(self) -> int:
         return len(self._messages)

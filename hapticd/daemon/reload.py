@@ -22,7 +22,7 @@ _CONFIG_POLL_S: Final = 0.002
 def read_again(load: Callable[[], Config]) -> Steps[Config]:
     """Read the configuration in a background thread, and yield while it runs: large files take seconds.
 
-    Raises HapticdError, also after CONFIG_LOAD_TIMEOUT_S.
+    Raises HapticdError for an invalid configuration, and after CONFIG_LOAD_TIMEOUT_S.
     """
     found = in_background("reload", load)
     until_s = time.monotonic() + CONFIG_LOAD_TIMEOUT_S

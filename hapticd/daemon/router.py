@@ -12,11 +12,11 @@ from hapticd.daemon.peers import Limits, Peer, Peers
 from hapticd.protocol import messages, zmtp
 
 MAX_MESSAGE_BYTES: Final = 64 * 1024 * 1024
-"""Longest message, all frames together. A longer one ends its connection."""
+"""Largest size of a message, all frames together; a longer message ends its connection."""
 MAX_MESSAGE_FRAMES: Final = 1024
-"""Most frames of a message. One with more frames ends its connection."""
+"""Largest number of frames of a message; a message with more ends its connection."""
 MAX_RECEIVE_OVERTIME_S: Final = 0.02
-"""Time beyond its timeout that `receive` may read incomplete messages, before the thread does something else."""
+"""Time beyond its timeout for which `receive` may read incomplete messages before it returns."""
 
 COMMAND_SOCKET_LIMITS: Final = Limits(zmtp.Bounds(MAX_MESSAGE_FRAMES, MAX_MESSAGE_BYTES, messages.MAX_BODY_BYTES))
 
@@ -27,9 +27,9 @@ class Request:
 
     peer: Peer
     delimited: bool
-    """Whether an empty frame precedes the body. Then an empty frame precedes the answer too."""
+    """Whether an empty frame precedes the body, and must precede the answer."""
     body: bytes | None
-    """The body; None: the frames are not those of a request. Empty or shortened if it was too long."""
+    """The body, empty or shortened if it was too long; None: the message has a wrong number of frames."""
     size: int
     """Length of the message, in bytes."""
 

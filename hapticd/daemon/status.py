@@ -32,7 +32,6 @@ class Status:
         self._started_ns = monotonic_ns()
         self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
         self._encoded: tuple[tuple[object, ...], Members] = ((), Members(0, b""))
-        # Members that never change.
         servo = engine.config.servo
         self._overruns = {**servo.overruns.to_dict(), "configured_rate_hz": servo.rate_hz}
 
@@ -55,7 +54,7 @@ class Status:
         return Encoded((lasting.joined(changing),))
 
     def _state(self, counters: Counters) -> tuple[object, ...]:
-        """Return version numbers; while none changes, the result of `_lasting` (rarely changing members) stays."""
+        """Return the values on which `_lasting` depends: while none changes, its encoding is used again."""
         engine, flight = self._engine, self._flight
         return (
             engine.revision,
@@ -68,6 +67,7 @@ class Status:
         )
 
     def _lasting(self, counters: Counters) -> dict[str, object]:
+        """Return the members that rarely change."""
         engine, flight = self._engine, self._flight
         granted = engine.granted
         return {
@@ -116,17 +116,17 @@ class Status:
 
     def _find_limits(self) -> dict[str, object]:
         """Return the members `undisplayable`, `warnings`, `offload`, recomputed if scene or materials changed."""
-        known, found = self._limits
+        known, limits = self._limits
         state = (self._engine.revision, self._engine.offload_version)
         if known != state:
             undisplayable, warnings = self._engine.limits()
-            found = {
+            limits = {
                 "undisplayable": [asdict(mode) for mode in undisplayable],
                 "warnings": [asdict(problem) for problem in warnings[:MAX_FAULTS]],
                 "offload": [asdict(each) for each in self._engine.offloaded()[:MAX_FAULTS]],
             }
-            self._limits = (state, found)
-        return found
+            self._limits = (state, limits)
+        return limits
 
 
 def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:

@@ -26,13 +26,7 @@ FAULT_REASONS: Final = {
 }
 """Why forces are off, by the name of the fault."""
 
-_EVENT_COUNTERS: Final = {
-    "strikes": "strikes",
-    "saturations": "saturations",
-    "glitches": "glitches",
-    "overloads": "overloads",
-    "suspends": "suspends",
-}
+_LISTED_COUNTERS: Final = ("strikes", "saturations", "glitches", "overloads", "suspends")
 
 
 def lines(status: Status) -> Iterator[Line]:
@@ -49,7 +43,7 @@ def lines(status: Status) -> Iterator[Line]:
     for name, histogram in status.get("histograms", {}).items():
         yield name.removesuffix("_ns"), _times(histogram)
     counters = status["counters"]
-    for name in _EVENT_COUNTERS:
+    for name in _LISTED_COUNTERS:
         if name in counters:
             yield name, wording.number(counters[name])
     lost = {what: counters.get(f"{what}_dropped", 0) for what in ("samples", "events")}
@@ -106,7 +100,7 @@ def _signs(status: Status) -> dict[str, Any]:
 
 
 def _streams(streams: Mapping[Literal["target", "force"], StreamStatus]) -> Iterator[Line]:
-    """Yield a line for each kind of stream of which messages came."""
+    """Yield a line for each kind of stream (targets, forces) whose messages were received."""
     for kind, counted in streams.items():
         if counted["received"]:
             came = f"{wording.count(counted['received'], 'message')} received, {counted['used']:,} used"
@@ -160,9 +154,9 @@ def _stepped_down(status: Status) -> str:
 
 
 def _times(histogram: Mapping[str, Any]) -> str:
-    half, most = (quantile_ns(histogram, part) for part in (0.5, 0.99))
-    median, almost, longest = (wording.si(1e-9 * value, "s", 3) for value in (half, most, histogram["max"]))
-    return f"median {median}, 99 % within {almost}, longest {longest}"
+    times_ns = (quantile_ns(histogram, 0.5), quantile_ns(histogram, 0.99), histogram["max"])
+    median, almost_all, longest = (wording.si(1e-9 * time_ns, "s", 3) for time_ns in times_ns)
+    return f"median {median}, 99 % within {almost_all}, longest {longest}"
 
 
 def _flight(flight: object) -> Iterator[Line]:

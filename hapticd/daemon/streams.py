@@ -22,11 +22,11 @@ from hapticd.protocol.streams import MAX_COMPONENT_BY_KIND, Kind
 
 
 class NotInTurnError(MethodError):
-    """A valid message is refused: another connection owns its stream, or its sequence number is too low."""
+    """A valid message is refused, because another connection owns the stream or its sequence number is too low."""
 
 
 class Servo(Protocol):
-    """The methods of an engine that streams call. `stream` never blocks: a newer value replaces the one before it."""
+    """The methods of an engine that streams call. `stream` never blocks: a newer value replaces the previous one."""
 
     def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None:
         """Send the servo a new target of the hand or a new force; see Engine.stream."""
@@ -68,21 +68,21 @@ class Streams:
             "force": _Stream(StreamKind.FORCE),
         }
         self.target_m: tuple[float, float] | None = None
-        """The last target that the servo was given, in metres; None: there was none, or it was reset."""
+        """The last target that was sent to the servo, in metres; None: none was sent since the last `set_operator`."""
 
     def take_body(self, sender: object, body: bytes) -> bool:
         """Accept a notification with a target or a force that is complete, valid and in sequence.
 
-        Returns False for any other body and changes nothing. The caller then handles that body as a request, which
-        reports and counts the mistake.
+        Returns False for any other body and changes nothing. The caller then handles the body as a request, and reports
+        and counts its mistake.
         """
-        found = wire.read(body)
-        if found is None:
+        streamed = wire.read(body)
+        if streamed is None:
             return False
-        kind, seq, x, y = found
-        most = MAX_COMPONENT_BY_KIND[kind]
+        kind, seq, x, y = streamed
+        limit = MAX_COMPONENT_BY_KIND[kind]
         # Comparisons with NaN are false.
-        if not (-most <= x <= most and -most <= y <= most) or seq > wire.MAX_SEQ:
+        if not (-limit <= x <= limit and -limit <= y <= limit) or seq > wire.MAX_SEQ:
             return False
         if kind == "target" and not self._hand:
             return False
@@ -119,7 +119,7 @@ class Streams:
         return now_ns - stream.last_ns < self._timeout_ns
 
     def _hand_over(self, stream: _Stream, sender: object, seq: int, now_ns: int, x: float, y: float) -> None:
-        """Send a target or force to the servo and count it. Until the stream ends, `seq` must exceed the last one."""
+        """Send a target or force to the servo, count it, and make `sender` the owner of the stream."""
         missing = seq - stream.seq - 1 if self._is_under_way(stream, now_ns) else 0
         self._servo.stream(stream.kind, seq, x, y)
         stream.sender, stream.seq, stream.last_ns = sender, seq, now_ns

@@ -1,7 +1,7 @@
 """The telemetry thread: drains the servo's rings into messages, which `publisher.py` sends.
 
-It also passes samples and events to the flight recorder, and events to the log. The servo never waits for it: a ring
-holds more than a second, longer than a garbage collection. A slow subscriber loses messages without affecting others.
+It also passes samples and events to the flight recorder, and events to the log. The servo never waits for the thread: a
+ring holds more than a second, longer than a garbage collection. A slow subscriber loses messages; others do not.
 The command thread reads samples, too, for `get_state`; a lock guards the samples that are not sent yet.
 """
 
@@ -33,7 +33,7 @@ STATUS_INTERVAL_S: Final = 1.0
 TELEMETRY_TOPICS: Final = ("samples", "state", "event", "change", "status")
 
 _MAX_EVENT_READS: Final = 2
-"""Batches of events that are read before samples are sent."""
+"""Largest number of batches of events that are read before samples are sent."""
 _TOPIC_INTERVALS_NS: Final = {
     "samples": round(SAMPLES_INTERVAL_S * 1e9),
     "state": round(STATE_INTERVAL_S * 1e9),
@@ -63,7 +63,7 @@ def sample_map(sample: np.void) -> dict[str, object]:
 
 
 def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
-    """Map the index of the last event of each object to the number of events of that object."""
+    """Return a mapping from the index of each object's last event to the number of the object's events."""
     objects = events["slot"].astype(np.uint64) << np.uint64(32) | events["generation"]
     _, first, counts = np.unique(objects[::-1], return_index=True, return_counts=True)
     return dict(zip((len(events) - 1 - first).tolist(), counts.tolist(), strict=True))
@@ -96,10 +96,7 @@ class Telemetry:
         self._newest: npt.NDArray[np.void] | None = None
         self._dropped = 0
         self._reading = threading.Lock()
-        """Held while samples are read or the newest is used, but not while they are sent.
-
-        The command thread may wait for it.
-        """
+        """Held while samples are read or used, but not while they are sent: the command thread may wait for it."""
 
     def wake(self) -> None:
         """End the wait for the next message, so that `run` checks whether to stop. For any thread."""
@@ -117,7 +114,7 @@ class Telemetry:
         due = {"samples": now, "state": now, "status": now}
         send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
         while True:
-            # The thread does not wake up for a state without subscribers.
+            # The thread does not wake up for the topic `state` while it has no subscribers.
             next_ns = min(due["samples"], due["status"], *((due["state"],) if self._publisher.wants("state") else ()))
             self._publisher.wait(max(0.0, (next_ns - monotonic_ns()) / 1e9))
             if stop.is_set():
@@ -174,10 +171,10 @@ class Telemetry:
             self._newest = self._samples[self._held - 1 : self._held]  # stays as it is until there is a newer one
 
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
-        """Yield the servo's events as maps, with some events merged.
+        """Yield the servo's events as maps; overruns, grooves and revisions are merged.
 
-        A flood of events would delay commands: a batch has one event for all overruns (their sum), one for all grooves
-        of an object (their count), and one for all revisions (the newest).
+        A flood of events would delay commands. So a batch has one event for all overruns (their sum), one for all
+        grooves of an object (their count), and one for all revisions (the newest).
         """
         kinds = events["kind"]
         overruns, revisions = events[kinds == EventKind.OVERRUN], events[kinds == EventKind.REVISION]
@@ -236,7 +233,7 @@ class Telemetry:
             self._publisher.publish(topic, encode(message))
 
     def _note(self, event: Any) -> dict[str, object]:
-        """Return the map of an event, and update this object's state that depends on the event."""
+        """Return an event as a map. Releases the event's mark, and keeps the end of a gesture for the status."""
         name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
         kind = int(event["kind"])
         mark = self._engine.take_mark(int(event["code"])) if kind == EventKind.MARK else None

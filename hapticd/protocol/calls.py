@@ -11,7 +11,7 @@ from hapticd.base.errors import HapticdError, Problem, in_order, lines_of, shown
 from hapticd.protocol import messages
 
 REPLY_TIMEOUT_S: Final = 5.0
-"""Default time a client waits for a reply, in s."""
+"""Time that a client waits for a reply by default."""
 
 Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
 
@@ -19,8 +19,8 @@ Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
 class RemoteError(HapticdError):
     """The daemon replied with an error.
 
-    `code` is one of `hapticd.protocol.messages.Code`, `data` the data of the error, and `problems` the faults of the
-    params that `data` lists.
+    `code` is one of `hapticd.protocol.messages.Code`. `data` is the data of the error. `problems` are the faults of the
+    params, if `data` lists any.
     """
 
     def __init__(self, code: int, message: str, data: object = None) -> None:
@@ -61,11 +61,11 @@ class MissedPeriods(UserWarning):
 
 
 class ForcesOff(UserWarning):
-    """A client holds the lease, under which forces may be on, but a fault keeps them off until `set_forces(True)`."""
+    """Forces are off although a client holds the lease or streams forces; `set_forces(True)` turns them on."""
 
 
 def encode_request(id: int, method: str, params: Mapping[str, object] | None) -> bytes:
-    """Return the body of a call. Raises HapticdError for a body that the daemon would refuse."""
+    """Return the encoded request that calls a method. Raises HapticdError if it cannot be encoded or is too long."""
     if not isinstance(method, str):
         raise arguments.invalid_argument("method", f"must be a string, is {shown(method)}")
     if params is not None and not isinstance(params, Mapping):
@@ -84,13 +84,11 @@ def encode_request(id: int, method: str, params: Mapping[str, object] | None) ->
     return body
 
 
-def result_of(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
+def result_of(result: object | RemoteError, params: Mapping[str, object] | None) -> object:
     """Return the result of a call to the daemon, or raise the error with which the daemon replied.
 
     Faults and warnings of params that were read from a file are reported with their lines in that file.
     """
-    if isinstance(result, DaemonNotRunning):
-        raise result
     if isinstance(result, RemoteError):
         if params and result.problems:
             from hapticd.config.file_faults import placed
@@ -106,7 +104,7 @@ def result_of(result: object | RemoteError | DaemonNotRunning, params: Mapping[s
 
 
 def decode_response(body: bytes) -> tuple[messages.Id, object | RemoteError]:
-    """Return the id of a reply, and the result or the error in it."""
+    """Return the id of a reply, and its result or error. Raises WireError for a body that is not a reply."""
     message = messages.decode_trusted(body)
     if not isinstance(message, dict):
         raise _not_an_answer()

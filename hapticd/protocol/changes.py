@@ -6,6 +6,7 @@ The command thread only stores references to immutable objects; the publishing t
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from itertools import chain
 from typing import Final, NamedTuple, TypeAlias
 
 from hapticd.base.model import Model
@@ -15,18 +16,18 @@ from hapticd.config.scene import Scene, SceneObject, Wall
 from hapticd.config.texture import Autoregressive
 
 MAX_LISTED_CHANGES: Final = 1000
-"""Largest number of objects, and of materials, in a message on the topic `change`. Above, clients get the scene."""
+"""Largest number of objects, and of materials, that a `change` message lists; a larger change only has `large`."""
 MAX_FLIGHT_OBJECTS: Final = 2000
 """Largest number of objects of a scene in a flight file: encoding a larger scene would delay commands."""
 MAX_FLIGHT_PARTS: Final = 4000
-"""Largest sum of `part_count` over a scene in a flight file: more would take tens of megabytes."""
+"""Largest sum of `part_count` over objects and materials in a flight file: more would take tens of megabytes."""
 MAX_CHANGE_PARTS: Final = 4000
 """Largest sum of `part_count` over the objects and materials that a change lists."""
 _SCENE_KEYS: Final = tuple(name for name in Scene.model_fields if name != "objects")
 
 
 class Revised(NamedTuple):
-    """Differences of a revision of scene and materials to the one before; None stands for what was removed."""
+    """Differences between a revision of scene and materials and the previous one; None for what was removed."""
 
     revision: int
     scene: Mapping[str, object]
@@ -34,7 +35,7 @@ class Revised(NamedTuple):
     objects: Mapping[str, SceneObject | None]
     materials: Mapping[str, Material | None]
     complete: tuple[Scene, Materials] | None
-    """The new scene and materials if more has changed than a message on the topic `change` lists, otherwise None."""
+    """The new scene and materials if more has changed than a message of the topic `change` lists, otherwise None."""
     rate_hz: float | None = None
     """The new servo rate if it has changed, otherwise None."""
 
@@ -50,7 +51,7 @@ class Played(NamedTuple):
 
 
 class Reset(NamedTuple):
-    """A call of `reset`, which clears contact states: of the objects with these ids, or if None of all objects."""
+    """A call of `reset`, which clears contact states of the objects with these ids, or of all objects if None."""
 
     tick: int
     objects: tuple[str, ...] | None
@@ -60,7 +61,7 @@ Change: TypeAlias = Revised | Played | Reset
 
 
 def change_map(change: Change) -> dict[str, object]:
-    """Return a change of scene or materials, a struck mode or a reset as a map, as docs/protocol.md describes it."""
+    """Return a change as the map that the topic `change` publishes (docs/protocol.md)."""
     match change:
         case Played(tick, mode, attack, direction, amplitude):
             return {
@@ -81,14 +82,15 @@ def change_map(change: Change) -> dict[str, object]:
             if rate_hz is not None:
                 return {"revision": revision, "rate_hz": rate_hz}
             parts: dict[str, dict[str, object]] = {
-                "scene": {name: _plain(value) for name, value in scene.items()},
-                "objects": {id: _plain(item) for id, item in objects.items()},
-                "materials": {name: _plain(material) for name, material in materials.items()},
+                "scene": {name: plain(value) for name, value in scene.items()},
+                "objects": {id: plain(item) for id, item in objects.items()},
+                "materials": {name: plain(material) for name, material in materials.items()},
             }
             return {"revision": revision, **{name: part for name, part in parts.items() if part}}
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
+    """Return a model as a mapping for JSON; return any other value unchanged."""
     return value.to_dict() if isinstance(value, Model) else value
 
 
@@ -108,7 +110,7 @@ def revised(
 ) -> Revised:
     """Return the differences between two revisions of scene and materials; `ids` name objects that may have changed.
 
-    If they are few, the result references only them, not the scenes, since many revisions may wait to be published.
+    The result references the scenes only if more has changed than a message lists: many revisions may wait to be sent.
     """
     names: list[str] = []
     if old is not new:
@@ -131,9 +133,5 @@ def _changed_keys(before: Scene, after: Scene) -> dict[str, object]:
 
 
 def _too_long(scene: Scene, ids: Collection[str], materials: Materials, names: Collection[str]) -> bool:
-    total = 0
-    for id in ids:
-        total += part_count(scene.objects.get(id))
-    for name in names:
-        total += part_count(materials.get(name))
-    return total > MAX_CHANGE_PARTS
+    items = chain(map(scene.objects.get, ids), map(materials.get, names))
+    return sum(map(part_count, items)) > MAX_CHANGE_PARTS

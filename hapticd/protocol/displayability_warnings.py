@@ -48,25 +48,23 @@ class MaterialReport(NamedTuple):
         return cls(material, output, not_displayed, warnings, no_faults)
 
     def problems(self, name: str, played: Collection[tuple[str, str]]) -> list[Problem]:
-        """Return everything of the material that is not displayed as written, with paths in a configuration.
+        """Return the warnings of the material, or its faults if it cannot be rendered, with paths in a configuration.
 
-        `played` are pairs of material and mode that the device plays itself.
+        `played` are pairs of material and mode that the device plays as effects.
         """
         material, output, not_displayed, warnings, _ = self
         refused = material_rate_faults(name, material, output)
         if refused:  # no object uses the material yet; one that does is refused
             return refused
-        return [
-            *(
-                Problem(
-                    path_text(("materials", name, *_PATH_BY_MODE.get(one.mode, (one.mode,)))),
-                    above_rate(one.frequency_hz, one.shown_hz, output),
-                )
-                for one in not_displayed
-                if (name, one.mode) not in played
-            ),
-            *warnings,
+        muted = [
+            Problem(
+                path_text(("materials", name, *_PATH_BY_MODE.get(one.mode, (one.mode,)))),
+                above_rate(one.frequency_hz, one.shown_hz, output),
+            )
+            for one in not_displayed
+            if (name, one.mode) not in played
         ]
+        return muted + warnings
 
 
 def above_rate(frequency_hz: float, shown_hz: float | None, output: Output) -> str:
@@ -86,29 +84,29 @@ def change_warnings(
 ) -> list[Problem]:
     """Return at most MAX_FAULTS warnings of objects and materials in a message, and of materials that the objects name.
 
-    Paths of objects begin with `root`, those of materials in `sent` with `materials`. Other materials are reported
-    with the path of the first object that names them. `reports` has all these materials. `played` are pairs of
-    material and mode that the device plays itself.
+    Paths of objects begin with `root`. Paths of materials whose names are in `sent` begin with `materials`; another
+    material has the path of the first object that names it. `reports` has all these materials. `played` are pairs of
+    material and mode that the device plays as effects.
     """
     if not sent and all(_is_fine(item, reports) for item in objects.values()):
         return []
-    found: list[Problem] = []
+    warnings: list[Problem] = []
     places: dict[str, Path] = {}
     for id, item in objects.items():
         for name, inner in material_places(item):
             places.setdefault(name, (*root, id, *inner))
         if isinstance(item, Wall) and item.patches:
-            found += patch_warnings(item, (*root, id))
+            warnings += patch_warnings(item, (*root, id))
     named = dict.fromkeys([*sent, *places])
     for name in islice(named, MAX_FAULTS):
         problems = reports[name].problems(name, played)
         # The material is not in the message, so its complete warning becomes the problem of the key that names it.
-        found += problems if name in sent else [Problem(path_text(places[name]), str(each)) for each in problems]
-    return found[:MAX_FAULTS]
+        warnings += problems if name in sent else [Problem(path_text(places[name]), str(each)) for each in problems]
+    return warnings[:MAX_FAULTS]
 
 
 def _is_fine(item: SceneObject, reports: Mapping[str, MaterialReport]) -> bool:
-    """Return whether all materials of an object are certainly displayed as written, without a closer check."""
+    """Return whether an object is known to be displayed as written; a wall with patches needs a closer check."""
     if item.kind == "wall" and item.patches:
         return False
     return all(reports[name].no_faults for name in material_names(item))

@@ -22,10 +22,10 @@ PROTOCOL_VERSION: Final = 1
 """Version of the protocol, which is independent of the version of the package."""
 
 MAX_GESTURE_ENDS: Final = 16
-"""Number of ends of gestures (motions of the simulated hand) that a status lists, the latest ones."""
+"""Largest number of ends of gestures (motions of the simulated hand) that a status lists: the latest."""
 
 MAX_BODY_BYTES: Final = 2 * 1024 * 1024
-"""Largest body of a request, in bytes."""
+"""Largest size of the body of a request."""
 
 MAX_MAP_MEMBERS: Final = 65_536
 """Largest number of members of a map in a body. A map is built in one call, in which no other thread runs."""
@@ -34,7 +34,7 @@ _MAX_SHARED_STRING_CHARACTERS: Final = 64
 """Equal strings up to this length, in characters, share memory in a decoded body; most are names of materials."""
 
 _MAX_FLAT_BODY_BYTES: Final = 4096
-"""Largest body decoded without a scan of its structure, in bytes. A false length in such a body costs 4096 elements."""
+"""Largest body decoded without a scan of its structure, in bytes. A wrong length in it allocates 4096 elements."""
 # The tags of maps and arrays, and of extensions. They also occur inside strings and numbers, so their count is an upper
 # bound of the number of containers or extensions.
 _CONTAINER_TAGS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
@@ -149,12 +149,12 @@ def _check_tree(root: object) -> None:
 
 
 def _is_flat(body: bytes) -> bool:
-    """Whether a body is short and has at most MAX_DEPTH bytes that could be the tag of a container."""
+    """Return whether a body is short and has at most MAX_DEPTH bytes that could be the tag of a container."""
     return len(body) <= _MAX_FLAT_BODY_BYTES and len(body) - len(body.translate(None, _CONTAINER_TAGS)) <= MAX_DEPTH
 
 
 def check_encoded(body: bytes) -> None:
-    """Raise WireError as `decode` does, for a body that this process encoded; if short, in half the time."""
+    """Raise WireError if `decode` refuses a body that this process encoded; twice as fast for a short body."""
     # msgpack accepts keys of bytes and timestamps, `decode` does not; so bodies that may have them go to `decode`.
     if _is_flat(body) and _BIN8_TAG not in body and _TIMESTAMP_TYPE not in body:
         try:
@@ -269,7 +269,7 @@ def parse_request(message: object) -> Request:
 
 
 def peek(body: bytes) -> Request | None:
-    """Return method and id of a large request without its params, or None if it is not a request.
+    """Return method and id of a large request without its params, or None for a body that is not a request.
 
     This takes a tenth of the time of `decode`.
     """

@@ -107,12 +107,12 @@ def no_answer(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
 
 
 def after_waiting(error: DaemonNotRunning, wait_s: float) -> DaemonNotRunning:
-    """Return the error DaemonNotRunning with a note on the time that was spent waiting for a daemon to start."""
+    """Return the error with a note on `wait_s`, the time that was spent waiting for a daemon to start."""
     return DaemonNotRunning(f"{error} (waited {wait_s:g} s for it)" if wait_s > 0 else str(error))
 
 
 def has_ended(place: RuntimePaths) -> bool:
-    """Return whether no daemon listens on the telemetry socket any more."""
+    """Return whether no daemon listens on the telemetry socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
         trial.setblocking(False)  # a stopped daemon accepts no connection
         return trial.connect_ex(os.fspath(place.telemetry)) in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 class GestureEnd(TypedDict):
     """The event at the end of a motion of the simulated hand.
 
-    `completed` is false if another operator replaced it. `started_tick` is the tick of its `set_operator`.
+    `completed` is false if another operator replaced the motion. `started_tick` is the tick at which the motion began.
     """
 
     event: Literal["gesture_end"]
@@ -88,7 +88,7 @@ class SceneResult(TypedDict):
     """The scene and its revision (number of the last change of scene or materials).
 
     `margins` has the stability margin of each surface alone, by id: the factor by which its stiffness could grow, None
-    if unlimited. It is absent if mass and damping of the handle are unknown.
+    if unlimited. `margins` is absent if mass and damping of the handle are unknown.
     """
 
     scene: dict[str, Json]
@@ -97,14 +97,14 @@ class SceneResult(TypedDict):
 
 
 class Warned(TypedDict):
-    """A warning that a part of a message is not displayed as written, with its place in the params or in their file."""
+    """A warning that a part of a request is not displayed as written, with its place in the params or their file."""
 
     where: str
     problem: str
 
 
 class RevisionResult(TypedDict):
-    """The number of a change of scene or materials; with `wait` also the first tick rendered with it or a later one.
+    """The revision (number) of a change; with `wait` also the first tick rendered with this revision or a later one.
 
     `margins` is as in `get_scene`, for new and changed surfaces. `warning` says why forces are off. `warnings` lists
     parts of the change that are not displayed as written.
@@ -131,7 +131,7 @@ class TickResult(TypedDict):
 
 
 class PlayResult(TickResult):
-    """The tick at which `play` struck a mode, and the frequency at which it is displayed, None if it is silent."""
+    """The tick at which `play` struck a mode, and the displayed frequency of the mode; None if the mode is silent."""
 
     displayed_hz: float | None
     warnings: NotRequired[list[Warned]]
@@ -171,7 +171,7 @@ class OperatorResult(TickResult):
 
 
 class LeaseResult(TypedDict):
-    """The token with which a client renews or ends its lease, without which forces fade out; None after its end."""
+    """The token with which a client renews or ends its lease; None after the end of the lease."""
 
     token: str | None
     warning: NotRequired[str]
@@ -246,7 +246,7 @@ class ResetObjects(TypedDict):
 
 
 class ResetDone(TypedDict):
-    """The objects whose contacts the method `reset` cleared, and the tick at which it did."""
+    """The objects whose contacts the method `reset` cleared, and the tick at which they were cleared."""
 
     tick: int
     reset: ResetObjects

@@ -1,7 +1,7 @@
 """Notifications of streamed targets and forces, written and read without a general decoder.
 
 A stream sends up to a thousand messages a second. `read` accepts only the bytes to which msgpack libraries encode
-jsonrpc, method, params (seq, vector), in this order. Other encodings of the message are decoded as any request.
+jsonrpc, method, params (seq, vector), in this order. Other encodings of a message are decoded like any request.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _TARGET, _FORCE = _FORM_BY_KIND["target"], _FORM_BY_KIND["force"]
 
 
 def write(kind: Kind, seq: int, x: float, y: float) -> bytes:
-    """Return the body of a message with a streamed target or force. Raises struct.error for a value not a number."""
+    """Return the body of a message with a streamed target or force. Raises struct.error if it is not a number."""
     form = _FORM_BY_KIND[kind]
     return form.written.pack(form.head, _UINT64_TAG, seq, form.middle, x, _FLOAT64_TAG, y)
 

@@ -15,10 +15,10 @@ from hapticd.config.materials import MAX_MATERIALS, Material, Materials, materia
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, scene_steps, validate_object
 
 
-def _same_kind(before: SceneObject, patch: object) -> SceneObject | None:
-    """Return a scene object with the keys of `patch` replaced, without the slower conversion to a dictionary and back.
+def _patched_directly(before: SceneObject, patch: object) -> SceneObject | None:
+    """Return a scene object with the keys of `patch` replaced, faster than by a merge patch of its mapping.
 
-    Returns None for a faulty patch, and for one that changes `kind` or `patches`, removes a key or merges a mapping.
+    Returns None for a patch that needs the merge: it is faulty, has `kind` or `patches`, or has null or a mapping.
     """
     if not isinstance(patch, dict) or len(patch) > len(before.__dict__) or "kind" in patch or "patches" in patch:
         return None
@@ -49,7 +49,7 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str
             if before is not None:
                 changes[id] = None
             continue
-        if before is not None and (item := _same_kind(before, patch)) is not None:
+        if before is not None and (item := _patched_directly(before, patch)) is not None:
             changes[id] = item
             continue
         merged = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
@@ -66,7 +66,7 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str
 
 
 def _no_object(id: str, scene: Scene) -> str:
-    """Return the problem of a patch to an object that does not exist."""
+    """Return the problem of a patch of an object that does not exist."""
     if id in Scene.model_fields:
         return "there is no object of this id: it is a key of the scene, which set_scene changes"
     known = known_names(id, scene.objects) if scene.objects else "the scene has no objects"
@@ -114,7 +114,7 @@ def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[t
 def further_faults(
     method: str, params: Mapping[str, object], scene: Scene, materials: Materials
 ) -> Steps[list[Problem]]:
-    """Return the faults of scene, objects and materials in a message, one whose other params are already faulty."""
+    """Return the faults of scene, objects and materials in the params of a request whose other params are faulty."""
     objects, given = params.get("objects"), params.get("materials")
     checks: list[Steps[object]] = []
     if method == "update_scene" and isinstance(objects, dict):

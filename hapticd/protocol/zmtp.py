@@ -1,7 +1,7 @@
 """ZMTP 3.0 and 3.1 without I/O: parser and writer of messages and commands (RFC 23 and 37, mechanism NULL).
 
-The memory of a `Parser` is limited by its bounds, whatever a peer sends: it allocates for received bytes, not for the
-length in a header, and keeps only the size of a message that is too long.
+`Bounds` limit the memory of a `Parser`, whatever a peer sends. A parser allocates memory for received bytes, not for
+the length in a header. Of a message that is too long it keeps only the size.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ MORE_FLAG: Final = 1
 LONG_FLAG: Final = 2
 """Flag of a frame: its size has eight bytes instead of one."""
 COMMAND_FLAG: Final = 4
-"""Flag of a frame: it is a command."""
+"""Flag of a frame: the frame is a ZMTP command, not a part of a message."""
 
 MAX_COMMAND_BYTES: Final = 4096
-"""Largest command including its name, in bytes."""
+"""Largest size of a ZMTP command with its name."""
 
 _GREETING_SIGNATURE: Final = b"\xff" + bytes(8) + b"\x7f"
 _NULL_MECHANISM: Final = b"NULL".ljust(20, b"\0")
@@ -42,21 +42,21 @@ class ZmtpError(HapticdError):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Limits of the messages that a parser accepts from one peer."""
+    """Limits of a message that a parser accepts from a peer."""
 
     frames: int
     """Largest number of parts (frames) of a message."""
     size: int
     """Largest size of a message, all frames together, in bytes."""
     kept: int
-    """Largest size of a message that is kept, in bytes; of a longer one only the size is reported."""
+    """Largest size of a message that is kept, in bytes; of a longer message only the size is reported."""
 
 
 @dataclass(slots=True)
 class Message:
     """A complete message: its first three frames, and the size of all frames, in bytes.
 
-    If the message is too long or has more than two frames, only the first byte of each frame is kept.
+    If the message is longer than `Bounds.kept` or has more than two frames, only the first byte of each frame is kept.
     """
 
     frames: list[bytes]
@@ -115,7 +115,7 @@ def error(reason: bytes) -> bytes:
 
 def properties(data: bytes) -> dict[bytes, bytes]:
     """Return the properties in a command READY, by names in lower case. Raises ZmtpError."""
-    found = {}
+    values = {}
     at = 0
     while at < len(data):
         named = at + 1 + data[at]
@@ -123,15 +123,15 @@ def properties(data: bytes) -> dict[bytes, bytes]:
         end = begin + int.from_bytes(data[named:begin], "big")
         if end > len(data):
             raise ZmtpError("the properties of READY are truncated")
-        found[data[at + 1 : named].lower()] = data[begin:end]
+        values[data[at + 1 : named].lower()] = data[begin:end]
         at = end
-    return found
+    return values
 
 
 class Parser:
     """The parser of the bytes of one peer. It cannot be used after an error."""
 
-    __slots__ = ("_at", "_bounds", "_buffer", "_count", "_cut", "_flags", "_frames", "_left", "_part", "_size")
+    __slots__ = ("_at", "_bounds", "_buffer", "_count", "_flags", "_frames", "_left", "_part", "_size", "_truncated")
 
     def __init__(self, bounds: Bounds) -> None:
         self._bounds = bounds
@@ -141,10 +141,10 @@ class Parser:
         self._flags = 0
         # State of the current message:
         self._frames: list[bytes] = []
-        self._part = bytearray()
+        self._part = bytearray()  # received bytes of the current frame
         self._count = 0
         self._size = 0
-        self._cut = False
+        self._truncated = False  # only the first byte of each frame is kept
 
     def feed(self, data: bytes) -> None:
         """Add received bytes. Call it after `next` has returned None."""
@@ -159,13 +159,13 @@ class Parser:
     @property
     def held(self) -> int:
         """Approximate number of bytes that the parser keeps of an incomplete message."""
-        return 0 if self._cut else self._size - max(self._left, 0)
+        return 0 if self._truncated else self._size - max(self._left, 0)
 
     def next(self) -> Event | None:
-        """Return the next message, command or greeting, or None if it is incomplete. Raises ZmtpError."""
+        """Return the next message, command or greeting; None if more bytes are needed. Raises ZmtpError."""
         if self._left == _NO_GREETING:
             return self._greeting()
-        while self._left >= 0 or self._open():
+        while self._left >= 0 or self._read_header():
             buffer, at = self._buffer, self._at
             end = at + self._left
             if end > len(buffer):
@@ -175,7 +175,7 @@ class Parser:
                 return None
             self._left, self._at = _NO_FRAME, end
             body = buffer[at:end]
-            if self._part or self._cut:
+            if self._part or self._truncated:
                 self._keep(body)
                 body = bytes(self._part)
                 self._part = bytearray()
@@ -184,26 +184,26 @@ class Parser:
             if self._count <= _MAX_KEPT_FRAMES + 1:
                 self._frames.append(body)
             if not self._flags & MORE_FLAG:
-                found = Message(self._frames, self._size)
-                self._frames, self._count, self._size, self._cut = [], 0, 0, False
-                return found
+                complete = Message(self._frames, self._size)
+                self._frames, self._count, self._size, self._truncated = [], 0, 0, False
+                return complete
         return None
 
     def _greeting(self) -> Greeted | None:
         received = self._buffer
         if received[:1] not in (b"", b"\xff") or received[9:10] not in (b"", b"\x7f"):
-            raise ZmtpError("its data is not ZMTP 3")
+            raise ZmtpError("the data is not ZMTP 3")
         if len(received) > 10 and received[10] < 3:
-            raise ZmtpError(f"it speaks ZMTP {received[10]}: must be 3")
+            raise ZmtpError(f"the protocol is ZMTP {received[10]}: must be 3")
         if len(received) >= 32 and received[12:32] != _NULL_MECHANISM:
             mechanism = received[12:32].strip(b"\0").decode("ascii", "replace")
-            raise ZmtpError(f"its mechanism is {quoted(mechanism)}: must be NULL")
+            raise ZmtpError(f"the mechanism is {quoted(mechanism)}: must be NULL")
         if len(received) < len(ZMTP_GREETING):
             return None
         self._at, self._left = len(ZMTP_GREETING), _NO_FRAME
         return Greeted()
 
-    def _open(self) -> bool:
+    def _read_header(self) -> bool:
         """Read the header of the next frame; return false if the header is incomplete."""
         buffer, at = self._buffer, self._at
         if len(buffer) - at < 2:
@@ -218,7 +218,7 @@ class Parser:
             size = buffer[at + 1]
             self._at = at + 2
         if flags & ~(MORE_FLAG | LONG_FLAG | COMMAND_FLAG) or (flags & COMMAND_FLAG and flags & MORE_FLAG):
-            raise ZmtpError("its data is not ZMTP 3")
+            raise ZmtpError("the data is not ZMTP 3")
         self._flags, self._left = flags, size
         if flags & COMMAND_FLAG:
             if size > MAX_COMMAND_BYTES:
@@ -230,14 +230,14 @@ class Parser:
             raise ZmtpError(f"a message of more than {self._bounds.frames:,} parts")
         if self._size > self._bounds.size:
             raise ZmtpError(f"a message of more than {self._bounds.size:,} bytes")
-        if not self._cut and (self._size > self._bounds.kept or self._count > _MAX_KEPT_FRAMES):
-            self._cut = True
+        if not self._truncated and (self._size > self._bounds.kept or self._count > _MAX_KEPT_FRAMES):
+            self._truncated = True
             self._frames = [each[:1] for each in self._frames]
         return True
 
     def _keep(self, chunk: bytes) -> None:
-        """Keep a chunk of a frame that arrives in several chunks."""
-        if not self._cut or self._flags & COMMAND_FLAG:
+        """Keep a chunk of a frame that arrives in several chunks, or its first byte if the message is truncated."""
+        if not self._truncated or self._flags & COMMAND_FLAG:
             self._part += chunk
         elif not self._part:
             self._part += chunk[:1]

@@ -1,4 +1,4 @@
-"""The stretch that is recorded: when it is over, on a machine where samples come late."""
+"""The recorded interval, and its end on a machine where samples arrive late."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def test_what_comes_late_is_waited_for_as_long_as_something_comes(monkeypatch: p
         assert not interval.over
         now_s[0] += 0.9 * record.FINAL_CHANGE_TIMEOUT_S
         interval.clip(batch(first))
-    assert interval.over  # tick 59 is here, 4.5 s after the end was asked for
+    assert interval.over  # tick 59 arrived 4.5 s after the end was requested
     interval = record._Interval(None)
     interval.clip(batch(0))
     interval.end_at(59)
     now_s[0] += 1.1 * record.FINAL_CHANGE_TIMEOUT_S
-    assert interval.over  # nothing came
+    assert interval.over  # no sample arrived

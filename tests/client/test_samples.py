@@ -1,4 +1,4 @@
-"""Batches of samples, and the account of what is missing."""
+"""Batches of samples, and counts of missing samples."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_gap_is_our_loss_unless_the_ring_dropped_it() -> None:
 
 def test_a_gap_inside_a_batch_counts() -> None:
     stream, batches = fed(message([0, 1, 5, 6], dropped=0), message(range(7, 9), dropped=3))
-    # What the ring dropped becomes known with the next batch only; what was told as lost stays told.
+    # Ticks that the ring dropped are known only with the next batch; ticks that were counted as lost stay lost.
     assert batches[0].lost == 3
     assert stream.received == 6
 
@@ -82,7 +82,7 @@ def test_a_daemon_that_starts_again_loses_nothing() -> None:
 @pytest.mark.long
 @given(st.lists(st.sampled_from(["sent", "dropped", "lost"]), min_size=1, max_size=60))
 def test_every_tick_is_received_dropped_or_lost(fates: list[str]) -> None:
-    """Of ticks before the last one that arrives; the ring's total comes with every batch, as the daemon sends it."""
+    """The ticks before the last received one; every batch has the total of the daemon's ring."""
     fates = ["sent", *fates, "sent"]
     dropped = 0
     messages = []

@@ -1,5 +1,4 @@
-"""The documents of the protocol: what validators of OpenRPC and AsyncAPI accept, and what a daemon really answers and
-sends."""
+"""The documents of the protocol: validators of OpenRPC and AsyncAPI accept them, and a daemon's messages match them."""
 
 from __future__ import annotations
 
@@ -57,8 +56,7 @@ CALLS: Final[dict[str, dict[str, Any]]] = {
 
 
 def closed(schema: Any) -> Any:
-    """The same schema, with objects that have no other members than it says: none that is sent may be left out of
-    it."""
+    """Return the schema with closed objects, so that a sent member that the schema lacks is an error."""
     if isinstance(schema, list):
         return [closed(each) for each in schema]
     if not isinstance(schema, dict):
@@ -75,7 +73,7 @@ def metaschema(name: str) -> Any:
 
 
 def test_the_meta_schemas_are_those_that_were_published() -> None:
-    """Their hashes are in the list beside them, with package and licence."""
+    """The list in the folder has their hashes, packages and licences."""
     listed = (METASCHEMAS / "README.md").read_text()
     files = sorted(METASCHEMAS.glob("*.json"))
     assert len(files) == 3
@@ -147,8 +145,7 @@ def test_the_command_prints_it(protocol: str, document: Any) -> None:
     assert json.loads(result.stdout) == document
 
 
-# ---- What a daemon answers and sends
-# ----------------------------------------------------------------------------------
+# ---- What a daemon answers and sends ---------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +162,7 @@ def wire(daemon: Daemon) -> Iterator[Wire]:
 
 @pytest.fixture(scope="module")
 def sent(daemon: Daemon, wire: Wire) -> dict[str, list[Any]]:
-    """What came of each topic while every method was called, and the results by method, as "method NAME"."""
+    """Messages of each topic while every method was called, and the results by method, as "method NAME"."""
     found: dict[str, list[Any]] = {topic: [] for topic in TELEMETRY_TOPICS}
     with zmq.Context() as context, context.socket(zmq.SUB) as telemetry:
         telemetry.setsockopt(zmq.RCVTIMEO, int(1e3 * PATIENCE_S))

@@ -1,4 +1,4 @@
-"""A method's schema against what the daemon takes: random messages are valid by the one as they are to the other."""
+"""The schema of a method and the daemon accept the same random messages."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ NAMES = {
     "object": ["floor", "skin", "peg"],
     "objects": ["floor", "skin", "peg", "pull"],
 }
-# What the daemon says where a rule of x-validation is broken.
-SAYS: Final = {
+# The daemon's problems for each broken rule of x-validation.
+PROBLEM_BY_RULE: Final = {
     "length": "must have a direction: a length of at least",
     "patches": r"above from_m|overlap$|overlap;|leave a gap of",
     "rising": r"above the one before|later than",
@@ -65,12 +65,12 @@ SAYS: Final = {
     "seq": "must be above .*the last of this stream",
     "files": "restart",
 }
-LEAST: Final = 100
-"""So many of a thousand messages are taken, and so many are refused, of a method with parameters."""
+MIN_MESSAGES: Final = 100
+"""Smallest number of accepted, and of refused, messages of a thousand of a method with parameters."""
 
 
 def tidy(source: random.Random, value: dict[str, Any]) -> None:
-    """Numbers as the rules of x-validation want them."""
+    """Change numbers so that they meet the rules of x-validation."""
     rows = len(value.get("speeds_m_per_s") or ())
     for key in ("speeds_m_per_s", "forces_n"):
         if isinstance(value.get(key), list):
@@ -111,7 +111,7 @@ def tidy(source: random.Random, value: dict[str, Any]) -> None:
 
 
 class Daemon:
-    """The daemon's methods on an engine that runs; the scene is put back where a message changed it."""
+    """The daemon's methods on a running engine; after a message that changed the scene, the scene is restored."""
 
     def __init__(self) -> None:
         self.config = load_config(CONFIG)
@@ -124,7 +124,7 @@ class Daemon:
             self.engine.take(self.config.scene, self.config.materials)
 
     def refusal(self, method: str, params: dict[str, object]) -> list[str] | None:
-        """What is wrong with params; None where they are valid, whatever became of the request."""
+        """Return the problems of params; None if they are valid, even if the request failed."""
         try:
             if method.startswith("stream_"):
                 self.methods.stream(method, params, next(self._streamed))
@@ -147,7 +147,7 @@ def daemon() -> Iterator[Daemon]:
 
 
 def merged(before: Any, patch: Any) -> Any:
-    """RFC 7396, as its section 2 has it."""
+    """Return a merge patch applied to a value, as in section 2 of RFC 7396."""
     if not isinstance(patch, dict):
         return patch
     result = dict(before) if isinstance(before, dict) else {}
@@ -164,7 +164,7 @@ MATERIAL = validator({"$ref": "#/components/schemas/Material"}, COMPONENTS)
 
 
 def merges_well(daemon: Daemon, method: str, params: dict[str, Any]) -> bool:
-    """Whether what the patches make of objects or materials is valid by the schema of these."""
+    """Return whether the patched objects or materials match their schema."""
     is_scene = method == "update_scene"
     before: Any = daemon.engine.scene.objects if is_scene else daemon.engine.materials
     check = OBJECT if is_scene else MATERIAL
@@ -179,7 +179,7 @@ def compare(daemon: Daemon, method: str, count: int) -> Counter[str]:
     (described,) = [each for each in DOCUMENT["methods"] if each["name"] == method]
     check = validator(described["x-params"], COMPONENTS)
     values = Values(method, COMPONENTS, NAMES, tidy)
-    rules = [re.compile(SAYS[rule]) for rule in RULES_OF_METHOD.get(method, ()) if rule != "merged"]
+    rules = [re.compile(PROBLEM_BY_RULE[rule]) for rule in RULES_OF_METHOD.get(method, ()) if rule != "merged"]
     found = Counter[str]()
     for number in itertools.count():
         if found.total() == count:
@@ -191,22 +191,22 @@ def compare(daemon: Daemon, method: str, count: int) -> Counter[str]:
         if not isinstance(params, dict):
             continue
         if type(params.get("expect_revision")) is int and 0 <= params["expect_revision"] < 2**32:
-            params["expect_revision"] = daemon.engine.revision  # a stale one is refused before the rest is looked at
+            params["expect_revision"] = daemon.engine.revision  # a stale one is refused before the rest is validated
         is_valid = check.is_valid(params)
         patches_are_sound = not is_valid or not method.startswith("update_") or merges_well(daemon, method, params)
         faults = daemon.refusal(method, params)
         by_rule = bool(faults) and all(any(rule.search(fault) for rule in rules) for fault in faults or ())
-        told = f"{params!r}\nschema: {[*check.iter_errors(params)][:2] if not is_valid else 'valid'}\ndaemon: {faults}"
+        seen = f"{params!r}\nschema: {[*check.iter_errors(params)][:2] if not is_valid else 'valid'}\ndaemon: {faults}"
         if not is_valid:
-            assert faults is not None, f"refused by the schema, taken by the daemon: {told}"
+            assert faults is not None, f"refused by the schema, taken by the daemon: {seen}"
             found["refused by the schema"] += 1
         elif not patches_are_sound:
-            assert faults is not None, f"makes what is not valid, taken by the daemon: {told}"
+            assert faults is not None, f"makes what is not valid, taken by the daemon: {seen}"
             found["refused for what a patch makes"] += 1
         elif faults is None:
             found["taken"] += 1
         else:
-            assert by_rule, f"valid by the schema, refused for no rule of x-validation: {told}"
+            assert by_rule, f"valid by the schema, refused for no rule of x-validation: {seen}"
             found["refused by a rule"] += 1
     return found
 
@@ -222,11 +222,10 @@ def test_a_few_random_messages(daemon: Daemon, method: str) -> None:
 def test_a_thousand_random_messages(daemon: Daemon, method: str) -> None:
     found = compare(daemon, method, 1000)
     refused = found.total() - found["taken"]
-    assert found["taken"] >= LEAST, found
-    assert refused >= LEAST, found
+    assert found["taken"] >= MIN_MESSAGES, found
+    assert refused >= MIN_MESSAGES, found
 
 
 def test_every_rule_is_told_and_known() -> None:
-    assert (
-        {*SAYS, "merged"} == VALIDATION_RULES.keys() == {rule for rules in RULES_OF_METHOD.values() for rule in rules}
-    )
+    applied = {rule for rules in RULES_OF_METHOD.values() for rule in rules}
+    assert {*PROBLEM_BY_RULE, "merged"} == VALIDATION_RULES.keys() == applied

@@ -1,4 +1,4 @@
-"""The flight recorder alone: what it keeps, and which faults have a file. Files themselves: test_faults_live.py."""
+"""The flight recorder alone: which data it keeps, and which faults get a file. test_faults_live.py tests the files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Life:
         self.flight.keep_event({"event": "fault", "tick": self.tick, "time_ns": 0, "faults": list(faults)})
 
     def end(self) -> None:
-        """Writes what is due."""
+        """Write the files that are due."""
         self.flight.finish()
         self.flight.wake()
         self.flight.run(threading.Event())
@@ -56,7 +56,7 @@ def ticks_of(path: Path) -> tuple[int, int, dict[str, object]]:
 
 def test_a_file_goes_from_before_the_fault_to_a_second_after_it(tmp_path: Path) -> None:
     life = Life(tmp_path)
-    life.fault()  # cleared: nothing to look at
+    life.fault()  # cleared faults need no file
     life.go_on(5000)
     life.fault("lease")
     life.go_on(500)
@@ -78,7 +78,7 @@ def test_faults_of_later_have_files_of_their_own_and_the_oldest_go(tmp_path: Pat
         life.go_on(4000)
     life.end()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["flight-000002-fault.npz", "flight-000003-fault.npz"]
-    # Another daemon on the same directory goes on counting.
+    # Another daemon on the same directory continues the numbers.
     later = Life(tmp_path)
     later.go_on(100)
     later.fault("lease")
@@ -131,20 +131,20 @@ def test_a_directory_is_made_and_one_that_cannot_be_is_told(tmp_path: Path, capl
     life.go_on(100)
     life.flight.dump()
     life.end()
-    told = life.flight.status()
-    assert (told["written"], told["under_way"]) == (0, 0)
-    assert "Not a directory" in str(told["problem"])
-    assert str(told["problem"]) in caplog.text
+    status = life.flight.status()
+    assert (status["written"], status["under_way"]) == (0, 0)
+    assert "Not a directory" in str(status["problem"])
+    assert str(status["problem"]) in caplog.text
 
 
 def test_whoever_asks_without_end_has_two_copies_kept_at_most(tmp_path: Path) -> None:
     life = Life(tmp_path)
     asked = []
-    for _ in range(50):  # the writer does not come to it
+    for _ in range(50):  # the writer is busy
         asked.append(life.flight.dump())
         life.go_on(20)
     assert len(set(asked)) == 2 and life.flight._jobs.qsize() == 1
-    life.fault("lease")  # has its own all the same
+    life.fault("lease")  # has a separate file
     life.go_on(1020)
     assert life.flight._jobs.qsize() == 2
     life.end()
@@ -164,7 +164,7 @@ def test_where_files_go() -> None:
 
 def test_what_was_written_is_let_go(tmp_path: Path) -> None:
     class Event(dict[str, object]):
-        """A dict that can be asked whether it is still there."""
+        """A dict that weak references can observe."""
 
     life = Life(tmp_path)
     event = Event(event="contact", tick=0, time_ns=0)

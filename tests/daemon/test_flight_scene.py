@@ -1,4 +1,4 @@
-"""What the flight recorder's samples were rendered with: what is kept, and what is given up first."""
+"""The scenes of the flight recorder's samples: which changes are kept, and which are dropped first."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hapticd.config.configuration import default_config
 from hapticd.config.modes import Mode
 from hapticd.config.scene import MAX_PATCHES, Scene, SceneObject, validate_object, validate_scene
-from hapticd.daemon.flight_scene import MAX_KEPT_CHANGES, FlightScene
+from hapticd.daemon.flight_scene import MAX_KEPT_WEIGHT, FlightScene
 from hapticd.protocol.changes import MAX_FLIGHT_OBJECTS, MAX_FLIGHT_PARTS, Change, Played, Reset, Revised, revised
 from hapticd.protocol.changes import MAX_LISTED_CHANGES as MOST_TOLD
 
@@ -78,13 +78,13 @@ def test_revisions_go_round(scene: FlightScene) -> None:
 
 def test_of_too_many_changes_the_oldest_are_part_of_the_beginning(scene: FlightScene) -> None:
     scene.take(played(5))
-    for revision in range(2, MAX_KEPT_CHANGES + 2):
+    for revision in range(2, MAX_KEPT_WEIGHT + 2):
         scene.take(moved(revision, revision / 1e6))
     revisions, objects, complete_from = kept(scene)
-    assert len(revisions) == 1 + MAX_KEPT_CHANGES // 2, "each counts, and the object in it"
+    assert len(revisions) == 1 + MAX_KEPT_WEIGHT // 2, "each counts, and the object in it"
     assert (objects, complete_from) == ({"floor", "disc"}, 6)
-    assert revisions[0] == MAX_KEPT_CHANGES + 1 - MAX_KEPT_CHANGES // 2
-    assert scene.history().missing({1, 2, MAX_KEPT_CHANGES}) == [1, 2]
+    assert revisions[0] == MAX_KEPT_WEIGHT + 1 - MAX_KEPT_WEIGHT // 2
+    assert scene.history().missing({1, 2, MAX_KEPT_WEIGHT}) == [1, 2]
 
 
 def test_a_change_that_is_too_large_to_be_told_is_a_new_beginning(scene: FlightScene) -> None:
@@ -114,7 +114,7 @@ def patched(count: int) -> SceneObject:
 
 
 def test_patches_count_as_objects_do() -> None:
-    """Each takes as many words."""
+    """A patch is encoded in as many bytes as an object."""
     before = validate_scene({"objects": {"floor": FLOOR}})
     scene = FlightScene(before, MATERIALS, 1, RATE_HZ)
     large = patched(MAX_PATCHES)

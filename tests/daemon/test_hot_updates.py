@@ -1,4 +1,4 @@
-"""Scenes that change under the hand: states survive, the force moves by no more than the ramp allows."""
+"""Scenes that change under the hand: states survive, and the force changes no faster than the ramp."""
 
 from __future__ import annotations
 
@@ -102,9 +102,9 @@ def test_ringing_contact_and_puncture_survive_updates() -> None:
     since = samples["tick"] / RATE - onset
     a = 0.05 * 309 * contact["speed_m_per_s"]
     wave = a * np.exp(-mode.decay_rate_per_s * since) * np.sin(mode.angular_frequency_rad_per_s * since)
-    wave[(since < 0) | (since > 5 / mode.decay_rate_per_s * (1 + 1e-12))] = 0  # wood's is a whole number of ticks
+    wave[(since < 0) | (since > 5 / mode.decay_rate_per_s * (1 + 1e-12))] = 0  # wood: an integer number of ticks
     ringing = samples["vibration_force_n"][:, 1] - wave
-    rupture = since > 0.0155  # the puncture's own ringing is over by then
+    rupture = since > 0.0155  # the ringing of the puncture has ended by then
     assert np.allclose(ringing[rupture], 0, atol=1e-12)
     depth = np.maximum(0, -0.01 - samples["position_m"][:, 1])
     contact_force = samples["contact_force_n"][:, 1]
@@ -138,7 +138,7 @@ def test_fading_out_and_coming_in() -> None:
 
 @pytest.mark.parametrize(("far", "degrees"), [(0.1, 30), (0.1, -30), (10.0, 10), (10.0, -10)])
 def test_wall_described_anew_from_far_away_moves_as_little_as_it_does(far: float, degrees: float) -> None:
-    """The point of a wall may be anywhere on it: what counts is where the surface is at the probe."""
+    """The point of a wall may be anywhere on the wall: only the surface at the probe matters."""
     rig, before = pressed({"w": FLOOR})
     angle = np.radians(degrees)
     normal = np.array([np.sin(angle), np.cos(angle)])
@@ -155,7 +155,7 @@ def test_wall_described_anew_from_far_away_moves_as_little_as_it_does(far: float
 
 
 def test_ramps_that_begin_after_missed_periods_begin_at_their_beginning() -> None:
-    """190 missed periods are no stall at 10 kHz, and no part of a ramp that begins after them either."""
+    """190 missed periods at 10 kHz are not a stall, and do not shorten a ramp that begins after them."""
     late = [190] + [1] * 399
     largest = 1.6 / (RAMP * RATE) * (1 + 1e-9)
     path = still(0, -0.002, 400)
@@ -189,7 +189,7 @@ def test_ramps_that_begin_after_missed_periods_begin_at_their_beginning() -> Non
 @pytest.mark.parametrize("every", [2, 5, 20, 50])
 def test_the_ramp_of_a_contact_after_a_stall_and_that_of_commands_add_up(every: int) -> None:
     """After the stall the wall is moved by 10 um, up or down, once in `every` ticks. Neither ramp is steeper than one
-    ramp of the whole force, so their sum stays below two."""
+    ramp of the entire force, so their sum stays below two."""
     rig, _ = pressed({"w": FLOOR})
     before = rig.render(still(0, -0.002, 1), periods=[500])
     assert before["contact_force_n"][-1, 1] == 0.0
@@ -213,7 +213,7 @@ def test_fade_to_zero_is_due_by_the_clock() -> None:
 
 @pytest.mark.parametrize("kind", ["box", "disc", "membrane"])
 def test_a_stall_in_which_the_slot_goes_to_another_object_leaves_no_contact(kind: str) -> None:
-    """What was pressed before a stall is met from the same side after it; what has its slot by then is not."""
+    """After a stall a pressed object is touched from the same side; another object in its slot is not."""
     rig, _ = pressed({"w": FLOOR})
     rig.update({"w": None})
     far: dict[str, object] = {"kind": kind, "center_m": [0, 0.05], "material": "wood"}
@@ -301,7 +301,7 @@ def test_a_wall_that_is_moved_along_itself_throws_nobody(kind: str, way_m: float
     rig.update({"w": {**wall, "point_m": [-way_m, 0]}})
     samples = rig.render(still(0, -0.005, 400))
     assert steps(samples, before) <= PACE
-    # From what was felt to what is, and nothing else on the way.
+    # The force goes from the old value to the new one, monotonically.
     blend = np.minimum((np.arange(400) + 1) / (RAMP * RATE), 1.0)[:, None]
     first, last = before["force_n"][-1], samples["force_n"][-1]
     assert np.allclose(samples["force_n"], first + blend * (last - first), rtol=0, atol=1e-12)
@@ -329,10 +329,10 @@ def test_the_limited_force_takes_the_ramp_however_much_is_wanted(
     before = rig.render(still(0, -0.002, 600))
     rig.update(change)
     samples = rig.render(still(0, -0.002, 600))
-    whole = float(np.hypot(*(samples["force_n"][-1] - before["force_n"][-1])))
+    change_n = float(np.hypot(*(samples["force_n"][-1] - before["force_n"][-1])))
     assert steps(samples, before) <= PACE
     ramp = np.hypot(*(samples["force_n"] - before["force_n"][-1]).T)
-    assert whole > 5 and ramp[99] <= 0.51 * whole and ramp[499] == pytest.approx(whole)
+    assert change_n > 5 and ramp[99] <= 0.51 * change_n and ramp[499] == pytest.approx(change_n)
 
 
 def test_the_display_of_a_force_beyond_the_limit_takes_the_ramp() -> None:
@@ -347,7 +347,7 @@ def test_the_display_of_a_force_beyond_the_limit_takes_the_ramp() -> None:
 
 
 def test_a_hand_that_leaves_a_wall_that_became_stiffer_is_not_held() -> None:
-    """2 mm deep in a wall that wants 4 N from now on; out of it within the ramp."""
+    """The hand is 2 mm deep in a wall that now exerts 4 N, and leaves the wall within the ramp."""
     rig, before = pressed({"w": FLOOR})
     rig.update({"w": {**FLOOR, "material": "hard"}}, {"hard": {"stiffness_n_per_m": 2000}})
     samples = rig.render(line(-0.002, -0.2, 150))
@@ -391,7 +391,7 @@ SANDPAPER = {"kind": "stochastic", "peak_hz": 200, "mean_hz": 260, "velocity_gai
 
 
 def test_the_noise_of_a_changed_material_comes_in_by_its_gain() -> None:
-    """Every tick against one of the noise at full level: a part that grows by a two hundredth a tick."""
+    """Compared with the noise at full level, the fraction grows by a two hundredth in each tick."""
     rough = {"stiffness_n_per_m": 800, "texture": SANDPAPER}
     path = still(0, -0.002, 2000)
     path[:, 0] = 0.1 * np.arange(2000) / RATE
@@ -460,7 +460,7 @@ def test_what_a_change_left_fades_although_a_reset_comes_in_every_tick() -> None
     ],
 )
 def test_what_else_could_move_the_force_needs_a_restart(other: dict[str, object]) -> None:
-    """So of a configuration only scene and materials are commands."""
+    """Of a configuration, only scene and materials can be changed."""
     before, after = load_config({}), load_config(other)
     assert before != after
     assert needing_restart(before, after)
@@ -468,7 +468,7 @@ def test_what_else_could_move_the_force_needs_a_restart(other: dict[str, object]
 
 @pytest.mark.parametrize("modes", [("off", "control"), ("control", "off"), ("observe", "control")])
 def test_the_passivity_controller_comes_and_goes_over_the_ramp(modes: tuple[str, str]) -> None:
-    """A wall that is let go of gives energy, which a controller that begins just then does not let it."""
+    """A released wall would give energy; a controller that begins at that moment prevents this."""
     rig = Rig({"w": FLOOR}, passivity=modes[0])
     speed = -0.01
     before = rig.render(np.concatenate([still(0, -0.004, 400), line(-0.004, speed, 50)]))

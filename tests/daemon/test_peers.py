@@ -1,4 +1,4 @@
-"""The daemon's two sockets against ZeroMQ's own peers, and against those who want too much."""
+"""The daemon's two sockets with peers of libzmq, and with peers that exceed limits."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def listening(path: Path) -> socket.socket:
 
 
 class Raw:
-    """A client that says what it likes."""
+    """A client that sends any bytes."""
 
     def __init__(self, path: Path, kind: bytes = b"DEALER", shake: bool = True) -> None:
         self.socket = socket.socket(socket.AF_UNIX)
@@ -46,7 +46,7 @@ class Raw:
             self.socket.sendall(zmtp.ZMTP_GREETING + zmtp.ready(kind))
 
     def ended(self) -> bool:
-        """Waits for the end of the connection."""
+        """Wait for the end of the connection."""
         try:
             while self.socket.recv(65536):
                 pass
@@ -60,15 +60,15 @@ class Raw:
 
 @contextmanager
 def echo(path: Path, made: Router) -> Iterator[Router]:
-    """Answers each request with itself, in a thread."""
+    """Answer each request with its body, in a thread."""
     stop = threading.Event()
 
     def serve() -> None:
         while not stop.is_set():
             request = made.receive(0.1)
             if request is not None:
-                told = b"wrong" if request.body is None else b"long" if request.too_long else request.body
-                made.send(request.peer, request.delimited, told)
+                body = b"wrong" if request.body is None else b"long" if request.too_long else request.body
+                made.send(request.peer, request.delimited, body)
 
     thread = threading.Thread(target=serve)
     thread.start()
@@ -233,14 +233,14 @@ def test_one_that_floods_over_many_connections_costs_another_a_turn_each() -> No
     flood = [one(1, 10 + number // 10) for number in range(100)]
     for each in flood:
         turns.add(each)
-    mine, beside = one(2, 1), one(1, 5)
+    mine, other = one(2, 1), one(1, 5)
     turns.add(mine)
-    turns.add(beside)
+    turns.add(other)
     order = [turns.next() for _ in range(102)]
     assert order.index(mine) == 1
-    assert order.index(beside) < 13
+    assert order.index(other) < 13
     assert not turns
-    assert {id(each) for each in order} == {id(each) for each in (*flood, mine, beside)}
+    assert {id(each) for each in order} == {id(each) for each in (*flood, mine, other)}
 
 
 # ---- bounds
@@ -249,7 +249,7 @@ def test_one_that_floods_over_many_connections_costs_another_a_turn_each() -> No
 def ends(
     path: Path, made: Peers, serve: Callable[[], object], caplog: pytest.LogCaptureFixture, data: bytes, kind: bytes
 ) -> str:
-    """What the log says of a client that sends this, again and again, and is disconnected."""
+    """Check the log of a client that sends these bytes repeatedly and is disconnected."""
     stop = threading.Event()
 
     def turn() -> None:
@@ -275,21 +275,21 @@ def ends(
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "reason"),
     [
         (b"\x01\x01x" * 1000, "a message of more than 1,024 parts"),
         (b"\x01\x00" * 1000, "a message of more than 1,024 parts"),
         (zmtp.header(2**17, zmtp.MORE_FLAG) + bytes(2**17), "a message of more than 67,108,864 bytes"),
-        (b"\x00\x00" + b"\x40", "its data is not ZMTP 3"),
+        (b"\x00\x00" + b"\x40", "the data is not ZMTP 3"),
         (zmtp.command(b"SUBSCRIBE", b"") + zmtp.command(b"READY", b""), "unexpected command"),
     ],
 )
 def test_requests_without_end_end_the_connection(
-    path: Path, caplog: pytest.LogCaptureFixture, data: bytes, said: str
+    path: Path, caplog: pytest.LogCaptureFixture, data: bytes, reason: str
 ) -> None:
     made = Router(listening(path))
     text = ends(path, made, lambda: made.receive(0.1), caplog, data, b"DEALER")
-    assert f"process {os.getpid()} of user {os.getuid()} was disconnected: {said}" in text
+    assert f"process {os.getpid()} of user {os.getuid()} was disconnected: {reason}" in text
 
 
 def test_subscriptions_without_end_end_the_connection(path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -338,7 +338,7 @@ def test_connections_of_one_process_are_bounded(path: Path, caplog: pytest.LogCa
         while thread.is_alive():
             made.receive(0.01)
     assert len(made) == 10
-    assert "it already has 10 connections" in caplog.text
+    assert "the process already has 10 connections" in caplog.text
     clients[3].close()
     while len(made) == 10:
         made.receive(0.01)
@@ -355,11 +355,11 @@ def test_who_has_most_connections_makes_room_for_another(path: Path, monkeypatch
     owners = [(1, 100)] * 8 + [(2, 200), (2, 201), (2, 202), (1, 100)]
     came = iter(owners)
 
-    class Told(Peer):
+    class Owned(Peer):
         def __init__(self, sock: socket.socket, uid: int, pid: int, parser: zmtp.Parser) -> None:
             super().__init__(sock, *next(came), parser)
 
-    monkeypatch.setattr(peers, "Peer", Told)
+    monkeypatch.setattr(peers, "Peer", Owned)
     made = Router(listening(path), replace(router.COMMAND_SOCKET_LIMITS, connections=10))
     clients = [Raw(path) for _ in owners]
     while made._owners.get(2, {}).keys() != {200, 201, 202}:
@@ -536,7 +536,7 @@ def test_who_unsubscribes_without_reading_keeps_nothing_of_it(path: Path) -> Non
     while len(made._queues.get(peer, ())) < 100:
         made.publish("samples", bytes(20_000))
     made.publish("event", b"last")
-    peer.unsent = 0  # as if it took what it is in the middle of
+    peer.unsent = 0  # as if the peer accepted the rest of the message
     deaf.socket.sendall(zmtp.message([b"\x00samples"]))
     while made.wants("samples"):
         made.wait(0.01)

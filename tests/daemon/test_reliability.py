@@ -1,4 +1,4 @@
-"""Every fault of the table in docs/reliability.md: caused, found by its events and its status, and over again."""
+"""Every fault of the table in docs/reliability.md: it is caused, reported by events and status, and cleared."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ROWS = {
 }
 """The table's rows by their anchors."""
 ANY = {"threshold": 1.0}
-"""A busy machine is not the point of most tests."""
+"""Threshold of overruns at which a busy machine does not disturb a test."""
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
 ELSEWHERE = {
     # With a real process, in tests/integration/test_faults_live.py.
@@ -53,13 +53,13 @@ ELSEWHERE = {
 }
 
 
-def told(cell: str) -> set[str]:
-    """The events that a cell names."""
+def named(cell: str) -> set[str]:
+    """Return the events that a cell names."""
     return set(re.findall(r"`([a-z_]+)`", cell))
 
 
 class Watch:
-    """An engine under test with everything that it said."""
+    """An engine under test with all its samples and events."""
 
     def __init__(self, engine: Engine, beats: bool = True) -> None:
         self.engine, self.methods = engine, Methods(engine)
@@ -68,7 +68,7 @@ class Watch:
         self.events: list[dict[str, Any]] = []
         self._room, self._places = records(SAMPLE_DTYPE, 16384), records(EVENT_DTYPE, 8192)
 
-    def look(self) -> None:
+    def read(self) -> None:
         if self.beats:
             self.engine.beat()
             self.engine.poll_servo()
@@ -79,9 +79,9 @@ class Watch:
         self.events += [event_map(event, None) for event in self._places[:count]]
 
     def until(self, what: Callable[[], bool], timeout_s: float = 60.0) -> None:
-        """Waits for something that nobody tells; the bound only keeps a broken test from hanging."""
+        """Poll until a condition holds; the bound only keeps a broken test from hanging."""
         pause, deadline = threading.Event(), time.monotonic() + timeout_s
-        while self.look() or not what():
+        while self.read() or not what():
             assert time.monotonic() < deadline, (self.events[-20:], self.engine.counters())
             pause.wait(0.002)
 
@@ -99,7 +99,7 @@ class Watch:
         return flags & (Flag.FORCES_ON | Flag.RAMPING | Flag.FAULT) == Flag.FORCES_ON
 
     def forces_on(self) -> None:
-        """set_forces, and what it tells."""
+        """Call set_forces, and return its result."""
         self.events.clear()
         self.methods.call("set_forces", {"enabled": True})
         self.until(self.full)
@@ -120,9 +120,9 @@ def world(monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
 
 
 def expect(row: list[str], watch: Watch, *, but: set[str] = frozenset()) -> None:  # type: ignore[assignment]
-    """What was said is what the row says."""
+    """Check that events and status are those of the row."""
     quiet = {"contact", "release", "overrun", "saturation", "glitch"}
-    assert watch.kinds() - quiet - but == told(row[3]) - quiet - but
+    assert watch.kinds() - quiet - but == named(row[3]) - quiet - but
 
 
 def unplugged(row: list[str], world: World) -> None:
@@ -130,11 +130,11 @@ def unplugged(row: list[str], world: World) -> None:
     watch = Watch(world.start(overruns=ANY))
     world.hold(0.004)
     world.full(world.engine) if watch.methods.call("set_forces", {"enabled": True}) else None  # type: ignore[arg-type]
-    watch.look()
+    watch.read()
     watch.events.clear()
     world.unplug()
     watch.until(lambda: watch.faults() == ["device"] and watch.status()["connection"]["state"] == "lost")
-    watch.look()
+    watch.read()
     expect(row, watch)
     lost = int(next(event["tick"] for event in watch.events if event["event"] == "device_lost"))
     watch.until(lambda: int(watch.samples["tick"][-1]) > lost)
@@ -150,15 +150,15 @@ def unplugged(row: list[str], world: World) -> None:
 
 def silent(row: list[str], world: World) -> None:
     stick = world.plug()
-    world.late_after_s = 1.0  # more than whoever reports for it is held up
+    world.late_after_s = 1.0  # longer than the thread that reports may be delayed
     watch = Watch(world.start(overruns=ANY))
     world.hold(0.004)
     watch.methods.call("set_forces", {"enabled": True})
     watch.until(watch.full)
     watch.events.clear()
-    world.stick = None  # it reports no more, and is still there
+    world.stick = None  # it is connected, and no longer reports
     watch.until(lambda: watch.faults() == ["device"])
-    watch.look()
+    watch.read()
     expect(row, watch)
     watch.until(lambda: not watch.samples["force_n"][-1].any())
     assert watch.status()["connection"]["state"] == "connected"
@@ -197,7 +197,7 @@ def frozen(row: list[str], _: World) -> None:
     try:
         watch = Watch(engine)
         watch.until(lambda: watch.faults() == ["frozen"])
-        watch.look()
+        watch.read()
         expect(row, watch)
         watch.until(lambda: bool(watch.samples["flags"][-1] & Flag.FAULT))
         faulted = watch.samples[(watch.samples["flags"] & Flag.FAULT) != 0]
@@ -218,7 +218,7 @@ def stalled(row: list[str], _: World) -> None:
     try:
         watch = Watch(engine, beats=False)
         watch.until(lambda: engine.counters().faults == Fault.CONTROL)
-        watch.look()
+        watch.read()
         expect(row, watch)
         watch.beats = True
         assert watch.faults() == ["control"]
@@ -234,7 +234,7 @@ def lapsed(row: list[str], _: World) -> None:
         watch = Watch(engine)
         watch.methods.call("lease", {"duration_s": 0.2})
         watch.until(lambda: watch.faults() == ["lease"])
-        watch.look()
+        watch.read()
         expect(row, watch)
         assert watch.status()["lease_s"] is None
         watch.forces_on()
@@ -243,7 +243,7 @@ def lapsed(row: list[str], _: World) -> None:
 
 
 def heavy(count: int) -> dict[str, object]:
-    """Floors one below the other, all of them under the probe: so many contacts in each tick."""
+    """Floors one below the other, all touched by the probe: as many contacts in each tick."""
     floor = {"kind": "wall", "normal": [0, 1], "material": "soft"}
     return {f"f{i}": {**floor, "point_m": [0, 0.001 + 1e-6 * i]} for i in range(count)}
 
@@ -257,7 +257,7 @@ def overloaded(action: str, objects: Mapping[str, object], threshold: float = 0.
 
 
 HEAVY = 8000
-"""Contacts that no machine looks at in 0.1 ms."""
+"""Number of contacts that no machine computes in 0.1 ms."""
 
 
 def missed(row: list[str], _: World) -> None:
@@ -266,7 +266,7 @@ def missed(row: list[str], _: World) -> None:
     try:
         watch = Watch(engine)
         watch.until(lambda: "overrun" in watch.kinds())
-        assert told(row[3]) == {"overrun"}
+        assert named(row[3]) == {"overrun"}
         counters = watch.status()["counters"]
         assert counters["skipped"] >= counters["overruns"] > 0
     finally:
@@ -294,12 +294,12 @@ def too_many_is_a_fault(row: list[str], _: World) -> None:
     try:
         watch = Watch(engine)
         watch.until(lambda: watch.faults() == ["overrun"])
-        watch.look()
+        watch.read()
         expect(row, watch)
         watch.methods.call("set_scene", {"scene": {"objects": {}}, "wait": True})
         watch.events.clear()
         watch.methods.call("set_forces", {"enabled": True})
-        # A machine that is busy with something else may well miss too many again.
+        # A busy machine may miss too many periods again.
         watch.until(lambda: any({"event": "fault", "faults": []}.items() <= event.items() for event in watch.events))
     finally:
         engine.stop()
@@ -314,14 +314,14 @@ def steps_down(row: list[str], _: World) -> None:
     try:
         watch = Watch(engine)
         watch.until(lambda: "rate" in watch.kinds())
-        # Half the rate may be too much, too: it steps on until it is enough, or the lowest.
+        # Half the rate may be too high, too: the servo steps down again until it keeps up, or to the lowest rate.
         watch.methods.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
         watch.until(lambda: bool(watch.status()["faults"]) or watch.full())
         expect(row, watch, but=set() if watch.faults() == [] else {"fault"})
-        watch.look()  # the samples of these events, too
+        watch.read()  # the samples of these events, too
         rates = [event["rate_hz"] for event in watch.events if event["event"] == "rate"]
         assert rates == [10_000 / 2 ** (n + 1) for n in range(len(rates))]
-        # Each is a revision, and told as one: a recording says which ticks had which rate.
+        # Each step is reported as a revision, so that a recording has the rate of every tick.
         changes = [change for change in engine.read_changes() if isinstance(change, Revised)]
         assert [change.rate_hz for change in changes if change.rate_hz is not None] == rates
         revisions = [change.revision for change in changes]
@@ -386,11 +386,11 @@ def test_no_step_down_to_a_rate_that_no_signal_of_the_scene_has() -> None:
         watch = Watch(engine)
         watch.until(lambda: engine.counters().faults == Fault.OVERRUN)
         watch.methods.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
-        watch.look()
+        watch.read()
         assert "rate" not in watch.kinds()
         assert {change.rate_hz for change in engine.read_changes() if isinstance(change, Revised)} == {None}
         assert watch.status()["rate_hz"] == 10_000
-        watch.until(lambda: engine.counters().running)  # it may have ended to try once more
+        watch.until(lambda: engine.counters().running)  # the servo may have stepped down again
         with pytest.raises(MethodError, match="missed too many periods"):
             watch.methods.call("play", {"material": "wood", "direction": [0, 1], "amplitude_m_per_s2": 1})
         watch.methods.call("set_forces", {"enabled": True})
@@ -401,7 +401,7 @@ def test_no_step_down_to_a_rate_that_no_signal_of_the_scene_has() -> None:
 
 @pytest.mark.slow
 def test_a_command_is_not_in_vain_while_the_servo_steps_down() -> None:
-    """The thread that waits for the servo is the one by whose doing it goes on."""
+    """The thread that waits for the servo is the one that restarts it."""
     engine = overloaded("step_down", heavy(HEAVY))
     engine.start()
     try:
@@ -468,7 +468,8 @@ def test_memory_stays_locked_when_it_steps_down() -> None:
         Watch(engine).until(lambda: engine.rate_hz < 10_000)
         assert engine.granted is not None
         assert engine.granted.memory == before.memory
-        locked = [[one for one in told.missing if one.startswith("locked memory")] for told in (before, engine.granted)]
+        grants = (before, engine.granted)
+        locked = [[line for line in each.missing if line.startswith("locked memory")] for each in grants]
         assert locked[0] == locked[1]
     finally:
         engine.stop()
@@ -509,7 +510,7 @@ def test_no_unit_gives_up_before_a_reload_does(unit: str) -> None:
 
 @pytest.mark.slow
 def test_stepping_down_keeps_what_is_open_and_who_is_who() -> None:
-    """A membrane that was punctured is still open at half the rate, and its name is known."""
+    """At half the rate a punctured membrane is still open, and events still have its id."""
     skin = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.1, "material": "cellophane"}
     engine = overloaded("step_down", {"skin": skin}, threshold=0.5)
     engine.start()

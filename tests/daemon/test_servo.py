@@ -1,4 +1,4 @@
-"""The servo's life, without sockets: stopping, and a device that reports rarely."""
+"""Start and stop of the servo without sockets, and a device that reports rarely."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def engine(**sim: float) -> Engine:
 
 
 def test_stop_ends_although_forces_are_still_commanded_on() -> None:
-    """Commands that the servo takes after it was told to stop do not keep it going."""
+    """Commands that come after the request to stop do not keep the servo running."""
     for _ in range(10):
         servo = engine()
         servo.start()
@@ -68,7 +68,7 @@ def test_device_that_reports_as_rarely_as_it_says_is_not_lost() -> None:
 
 
 class Drained:
-    """An engine that runs, and all of its samples."""
+    """A running engine and all its samples."""
 
     def __init__(self, servo: Engine) -> None:
         self.servo = servo
@@ -94,7 +94,7 @@ class Drained:
 
 @pytest.mark.slow
 def test_streams_are_followed_until_none_comes(tmp_path: Path) -> None:
-    """The hand goes where it is told and stays, the force comes and goes; and what was not streamed can be replayed."""
+    """The hand follows the targets and stays, the force begins and ends; ticks without a stream can be replayed."""
     config = load_config({"servo": {"realtime": "off", "rate_hz": 1000, "stream_timeout_s": 0.03}, "scene": PUSH})
     servo = Engine(config)
     run = Drained(servo)
@@ -139,9 +139,9 @@ def test_streams_are_followed_until_none_comes(tmp_path: Path) -> None:
     assert again.identical == len(again.samples) > 100
 
 
-@pytest.mark.parametrize(("kind", "x", "told"), [("FORCE", float("nan"), "force_n"), ("TARGET", 1e4, "position_m")])
-def test_what_cannot_be_followed_is_refused(kind: str, x: float, told: str) -> None:
-    with pytest.raises(HapticdError, match=told):
+@pytest.mark.parametrize(("kind", "x", "name"), [("FORCE", float("nan"), "force_n"), ("TARGET", 1e4, "position_m")])
+def test_what_cannot_be_followed_is_refused(kind: str, x: float, name: str) -> None:
+    with pytest.raises(HapticdError, match=name):
         engine().stream(StreamKind[kind], 1, x, 0.0)
 
 

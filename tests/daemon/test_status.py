@@ -1,4 +1,4 @@
-"""`get_status`: its short answer is the long one but for histograms, and what is encoded once is never stale."""
+"""`get_status`: the short answer is the long one without histograms, and cached members are never stale."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,7 +14,7 @@ from hapticd.protocol import messages
 
 WALL = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 MOVING = {"clock", "lease_s"}
-"""What is another at each look."""
+"""Members that differ in each status."""
 
 
 def still(status: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Whose a stream is, in which order its messages count, and what becomes of every one of them."""
+"""The owner of a stream, the order of its messages, and the counters of all messages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COUNTED = ("received", "late", "lost", "refused", "held")
 
 
 class Servo:
-    """Keeps what it is given."""
+    """Keeps the streamed values."""
 
     def __init__(self) -> None:
         self.taken: list[tuple[StreamKind, int, float, float]] = []
@@ -42,7 +42,7 @@ class Servo:
 
 
 class Bench:
-    """Streams over a servo that keeps, with a clock that a test moves."""
+    """Streams on a servo that keeps the values, with a clock that a test sets."""
 
     def __init__(self, hand: bool = True) -> None:
         self.servo = Servo()
@@ -50,7 +50,7 @@ class Bench:
         self.streams = Streams(self.servo, hand, TIMEOUT_NS, lambda: self.now_ns)
 
     def send(self, sender: object, seq: int, kind: wire.Kind = "force", x: float = 1.0, y: float = 2.0) -> bool:
-        """A notification of the usual form; whether it was taken at once."""
+        """Send a notification of the usual form; return whether it was accepted at once."""
         return self.streams.take_body(sender, wire.write(kind, seq, x, y))
 
     def counted(self, kind: wire.Kind = "force") -> dict[str, Any]:
@@ -64,7 +64,7 @@ class Bench:
 def test_what_comes_in_turn_is_handed_over_and_told() -> None:
     bench = Bench()
     assert bench.send("a", 5, "target", 0.25, -0.5)
-    assert bench.send("a", 0, "force", 3.0, -4.0)  # each kind has an order of its own
+    assert bench.send("a", 0, "force", 3.0, -4.0)  # each kind has a separate order
     assert bench.servo.taken == [(StreamKind.TARGET, 5, 0.25, -0.5), (StreamKind.FORCE, 0, 3.0, -4.0)]
     assert bench.streams.target_m == (0.25, -0.5)
     assert bench.counted("target") == bench.counted("force") == {"received": 1}
@@ -82,7 +82,7 @@ def test_gaps_are_counted_and_what_is_late_or_double_is_left_out() -> None:
     assert bench.send("a", 10)
     assert bench.send("a", 14)
     for seq in (14, 12, 0):
-        assert not bench.send("a", seq)  # the ordinary way says why, and counts
+        assert not bench.send("a", seq)  # the general decoder reports why, and counts
         with pytest.raises(NotInTurnError, match="above 14") as late:
             bench.streams.take("a", "force", seq, 0.0, 0.0)
         assert late.value.code == Code.INVALID_PARAMS
@@ -169,7 +169,7 @@ def test_without_a_simulated_hand_no_target_is_taken_and_forces_are() -> None:
 
 
 def test_a_device_with_a_hand_of_its_own_takes_forces_and_no_targets(tmp_path: Path) -> None:
-    """A replay is driven as a HID device is. With an id the reason is said; each of them is counted."""
+    """A replay is like a HID device. A message with an id gets the reason; each message is counted."""
     path = str(tmp_path / "stick.jsonl")
     save(path, Recording("stick", 0x1209, 0x5AFF, bytes(Joystick()), ((0.0, struct.pack("<BhhB", 1, 0, 0, 0)),)), False)
     config = {"servo": {"realtime": "off"}, "device": {"kind": "replay", "replay": {"path": path}}}
@@ -192,5 +192,5 @@ def test_a_device_with_a_hand_of_its_own_takes_forces_and_no_targets(tmp_path: P
     status: Any = methods.status()["streams"]
     assert (status["target"]["received"], status["target"]["refused"]) == (2, 2)
     assert (status["force"]["received"], status["force"]["refused"]) == (2, 0)
-    # The status says the same whether it is what lasts or what changes.
+    # The status is the same whether streams are among the lasting or the changing members.
     assert methods.call("get_status", {})["streams"] == status

@@ -1,4 +1,4 @@
-"""What of events is told: floods are told once for all that were found together."""
+"""Events in telemetry: events of a flood that are read together are merged."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hapticd.protocol import messages
 
 
 class Names:
-    """An engine as far as telemetry asks it for names."""
+    """An engine with the names of objects."""
 
     def name_of(self, slot: int, generation: int) -> str | None:
         return {(0, 1): "comb", (0, 9): "later", (5, 1): "file"}.get((slot, generation))
@@ -30,21 +30,21 @@ def batch(*events: tuple[EventKind, int, int, int]) -> npt.NDArray[np.void]:
     return array
 
 
-def told(*events: tuple[EventKind, int, int, int]) -> list[dict[str, object]]:
+def merged(*events: tuple[EventKind, int, int, int]) -> list[dict[str, object]]:
     telemetry = Telemetry(cast(Engine, Names()), cast(Any, None), dict)
     return list(telemetry._maps(batch(*events)))
 
 
 def test_grooves_of_one_object_are_told_as_one_that_speaks_of_the_last() -> None:
     groove = EventKind.GROOVE
-    found = told(
+    found = merged(
         (EventKind.CONTACT, 1, 0, 1),
         (groove, 2, 0, 1),
         (groove, 3, 5, 1),
         (groove, 4, 0, 1),
         (groove, 4, 0, 1),
         (EventKind.RELEASE, 5, 0, 1),
-        (groove, 6, 0, 9),  # the slot has another owner
+        (groove, 6, 0, 9),  # another object has the slot
         (groove, 7, 5, 1),
     )
     shown = [(event["event"], event["object"], event["tick"], event.get("count")) for event in found]
@@ -60,9 +60,9 @@ def test_grooves_of_one_object_are_told_as_one_that_speaks_of_the_last() -> None
 
 
 def test_what_is_no_flood_is_told_one_by_one() -> None:
-    assert told() == []
+    assert merged() == []
     kinds = [EventKind.SATURATION, EventKind.PUNCTURE, EventKind.SATURATION]
-    assert [event["event"] for event in told(*((kind, 1, 0, 1) for kind in kinds))] == [
+    assert [event["event"] for event in merged(*((kind, 1, 0, 1) for kind in kinds))] == [
         "saturation",
         "puncture",
         "saturation",
@@ -70,11 +70,11 @@ def test_what_is_no_flood_is_told_one_by_one() -> None:
 
 
 class Read(Names):
-    """An engine with so many events and samples; `said`: up to which revision events were read."""
+    """An engine with `events` events and samples of `revisions`; `read_up_to`: arguments of `events_read`."""
 
     def __init__(self, events: int, revisions: list[int]) -> None:
         self.events, self.revisions = events, revisions
-        self.said: list[int] = []
+        self.read_up_to: list[int] = []
         self.granted = None
         self.rate_hz = 10_000.0
 
@@ -92,11 +92,11 @@ class Read(Names):
 
     def events_read(self, revision: int) -> None:
         assert not self.events
-        self.said.append(revision)
+        self.read_up_to.append(revision)
 
 
 class Nowhere:
-    """A socket that takes everything."""
+    """A socket that drops all messages."""
 
     def wants(self, topic: str) -> bool:
         return True
@@ -106,19 +106,19 @@ class Nowhere:
 
 
 @pytest.mark.parametrize(
-    ("events", "revisions", "said"),
+    ("events", "revisions", "read_up_to"),
     [(0, [], []), (0, [3, 3, 4], [4]), (20, [7], [7]), (1500, [7, 8], [8]), (100_000, [7], [])],
 )
 def test_how_far_events_were_read_is_said_once_all_that_were_older_were(
-    events: int, revisions: list[int], said: list[int]
+    events: int, revisions: list[int], read_up_to: list[int]
 ) -> None:
     engine = Read(events, revisions)
     Telemetry(cast(Engine, engine), cast(Any, Nowhere()), dict)._drain()
-    assert engine.said == said
+    assert engine.read_up_to == read_up_to
 
 
 class Heard:
-    """A socket that keeps what is sent, by topic."""
+    """A socket that keeps the last message of each topic."""
 
     def __init__(self) -> None:
         self.last: dict[str, dict[str, Any]] = {}
@@ -131,7 +131,7 @@ class Heard:
 
 
 def test_what_is_touched_is_right_again_after_events_were_lost() -> None:
-    """Forty floors under the handle, met anew until the ring of events is full; then all but one go, untold."""
+    """Forty floors are touched again until the ring of events is full; then all but one are removed, without events."""
     floor = {"kind": "wall", "point_m": [0, 0.001], "normal": [0, 1], "material": "air"}
     floors: dict[str, object] = {f"floor{number}": floor for number in range(40)}
     engine = Engine(load_config({"materials": {"air": {"stiffness_n_per_m": 1}}, "scene": {"objects": floors}}))
@@ -179,7 +179,7 @@ def test_samples_that_were_read_for_the_state_are_sent_all_the_same() -> None:
 
 @pytest.mark.slow
 def test_a_publisher_that_stands_still_loses_nothing_for_1_6_s_at_10_khz() -> None:
-    """And of what it loses then, `dropped` tells."""
+    """`dropped` counts the samples that are lost after that time."""
     engine = Engine(load_config({"servo": {"rate_hz": 10_000}}))
     heard = Heard()
     telemetry = Telemetry(engine, cast(Any, heard), dict)

@@ -1,4 +1,4 @@
-"""What a program imports: every public name is there, shown and typed, and every error is one of ours."""
+"""The public names: each exists, is listed and typed, and every error is a HapticdError."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_every_public_name_is_there_and_shown() -> None:
 
 
 def test_every_public_name_is_typed() -> None:
-    """What is loaded when it is used is imported for type checkers."""
+    """Names that are loaded on use are imported for type checkers."""
     tree = ast.parse(Path(hapticd.__file__).read_text())
     (typed,) = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
     imported = {alias.asname or alias.name for node in ast.walk(typed) for alias in getattr(node, "names", ())}
@@ -72,15 +72,15 @@ def of_status(status: hapticd.Status) -> list[hapticd.GestureEnd]:
     return [] if operator is None else operator["ends"]
 
 
-def told(result: hapticd.RevisionResult) -> list[hapticd.Warned]:
+def checked(result: hapticd.RevisionResult) -> list[hapticd.Warned]:
     return result.get("warnings", [])
 
 
 def run(daemon: hapticd.Client) -> hapticd.GestureEnd:
     wood = hapticd.Material(stiffness_n_per_m=800.0)
     scene: hapticd.Scene = hapticd.load_scene({"objects": {}})
-    told(daemon.apply(materials={"mine": wood.to_dict()}, scene=scene, wait=True))
-    told(daemon.set_materials({"mine": {"stiffness_n_per_m": 1.0}}))
+    checked(daemon.apply(materials={"mine": wood.to_dict()}, scene=scene, wait=True))
+    checked(daemon.set_materials({"mine": {"stiffness_n_per_m": 1.0}}))
     tick: hapticd.TickResult = daemon.mark("trial 3", {"condition": [1, None]})
     print(tick["tick"], show(daemon.state()))
     daemon.set_operator([[0.0, 0.0, 0.01]])
@@ -118,8 +118,8 @@ def test_a_program_with_annotations_passes_a_strict_type_checker(tmp_path: Path)
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     options = ["--strict", "--config-file=", "--follow-imports=silent", f"--cache-dir={tmp_path / 'cache'}"]
-    told = subprocess.run([sys.executable, "-m", "mypy", *options, program], capture_output=True, text=True)
-    assert (told.returncode, told.stderr) == (0, ""), told.stdout
+    checked = subprocess.run([sys.executable, "-m", "mypy", *options, program], capture_output=True, text=True)
+    assert (checked.returncode, checked.stderr) == (0, ""), checked.stdout
 
 
 # ---- Errors ----------------------------------------------------------------------------------------------------------
@@ -165,7 +165,7 @@ def test_faults_are_told_by_their_path() -> None:
 
 
 def test_what_is_nested_is_validated_without_python(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten thousand objects would take seconds if each went through its class's own __init__."""
+    """Ten thousand objects would take seconds if each were made by the __init__ of its class."""
     made: list[str] = []
     original = Model.__init__
 

@@ -1,4 +1,4 @@
-"""Marks and ends of gestures in the core: none is lost, whatever else happens, and each tells its very tick."""
+"""Marks and ends of gestures in the core: none is lost, and each has the exact tick."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def silent_config() -> Config:
 
 @pytest.fixture
 def engine() -> Iterator[Engine]:
-    """A servo whose events nobody reads."""
+    """A servo whose events are not read."""
     engine = Engine(silent_config())
     engine.start()
     yield engine
@@ -68,8 +68,8 @@ def test_no_mark_is_lost_where_other_events_are(engine: Engine) -> None:
     assert dropped > 0
     marks = [event for event in events if event["kind"] == EventKind.MARK]
     assert [int(event["tick"]) for event in marks] == ticks
-    told = [engine.take_mark(int(event["code"])) for event in marks]
-    assert told == [Mark(f"mark {number}", number) for number in range(MAX_PENDING_MARKS)]
+    read = [engine.take_mark(int(event["code"])) for event in marks]
+    assert read == [Mark(f"mark {number}", number) for number in range(MAX_PENDING_MARKS)]
 
 
 def test_marks_under_way_are_bounded_until_their_events_are_read(engine: Engine) -> None:
@@ -127,6 +127,6 @@ def test_a_gesture_that_outlasts_the_run_has_no_end() -> None:
 
 
 def test_the_parts_of_a_run_are_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A long run is rendered in parts, which the end does not begin again in."""
+    """A long run is rendered in parts; the end of the gesture is reported only in one of them."""
     waypoints = [[0.0, 0.0, 0.02], [7.0, 0.01, 0.02]]
     assert ends(waypoints, 8.0, 10_000.0) == [(70_000, 0, 1)]

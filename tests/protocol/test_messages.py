@@ -105,7 +105,7 @@ def reference(body: bytes) -> object:
 
 
 def outcome(decode: Any, body: bytes) -> object:
-    """What a decoder makes of a body; NaN compares equal to itself."""
+    """Return the result of a decoder for a body; NaN compares equal to itself."""
     try:
         return repr(decode(body))
     except (Refused, WireError) as error:
@@ -167,7 +167,7 @@ def test_a_damaged_message_decodes_as_the_specification_says(tree: object, data:
 @pytest.mark.long
 @given(TREES, st.integers(0, 200))
 def test_a_message_in_the_long_form_decodes_alike(tree: object, pad: int) -> None:
-    """Bodies over 4 KiB, or with many containers, go another way through the decoder."""
+    """The decoder has a separate path for bodies over 4 KiB or with many containers."""
     padded = [tree, "x" * 5000, [[]] * pad]
     assert repr(messages.decode(msgpack.packb(padded))) == repr(padded)
 
@@ -219,7 +219,7 @@ def test_the_largest_body_is_taken_and_one_byte_more_is_not() -> None:
 
 
 @pytest.mark.parametrize(
-    ("body", "told"),
+    ("body", "problem"),
     [
         (b"", "empty"),
         (b"\xc1", "not msgpack"),
@@ -235,20 +235,20 @@ def test_the_largest_body_is_taken_and_one_byte_more_is_not() -> None:
         (msgpack.packb({"a": [{"b": msgpack.Timestamp(1, 2)}], "c": "x" * 9000}), "extension type -1"),
     ],
 )
-def test_errors_say_what_is_wrong(body: bytes, told: str) -> None:
-    with pytest.raises(WireError, match=told):
+def test_errors_say_what_is_wrong(body: bytes, problem: str) -> None:
+    with pytest.raises(WireError, match=problem):
         messages.decode(body)
 
 
 def test_a_map_that_would_hold_everybody_up_is_refused_before_it_is_built() -> None:
-    most = {str(i): 0 for i in range(messages.MAX_MAP_MEMBERS)}
-    assert messages.decode(msgpack.packb({"params": most})) == {"params": most}
+    largest_map = {str(i): 0 for i in range(messages.MAX_MAP_MEMBERS)}
+    assert messages.decode(msgpack.packb({"params": largest_map})) == {"params": largest_map}
     with pytest.raises(messages.WireError, match="a map has more than 65536 members"):
-        messages.decode(msgpack.packb({"params": {**most, "one": 0}}))
+        messages.decode(msgpack.packb({"params": {**largest_map, "one": 0}}))
 
 
 def test_a_short_string_is_kept_once_in_a_body_and_not_beyond_it() -> None:
-    """In some versions of Python a string that is interned stays for ever: clients could fill the memory with names."""
+    """Some versions of Python never free interned strings: clients could fill the memory with names."""
     name = "a name that nothing else here has"
     body = codec.encode([{"material": name}, {"material": name}])
     decoded: Any = messages.decode(body)
@@ -335,7 +335,7 @@ def test_notifications() -> None:
     assert caught.value.silent  # valid but for its params: JSON-RPC 2.0, section 4.1, is silent
     with pytest.raises(WireError) as caught:
         messages.parse_request(notification | {"jsonrpc": "1.0"})
-    assert not caught.value.silent  # not a notification, just broken
+    assert not caught.value.silent  # not a notification, but an invalid request
 
 
 @pytest.mark.long

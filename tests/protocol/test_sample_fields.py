@@ -1,4 +1,4 @@
-"""What a sample's three forces are made of, as the pages say it: one scene for each part that goes into one of them."""
+"""The three forces of a sample, as the pages describe them: a scene for each part of a force."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_grooves_taps_ruptures_and_play_are_vibration() -> None:
     torn = Rig({"skin": SKIN}).render(line(0.001, 0.2, COUNT))
     for samples in (tapped, torn):
         assert rings(samples) and np.abs(samples["vibration_force_n"]).max() > 0.01
-    # A torn membrane pushes no more; what is left of it is its ringing.
+    # A ruptured membrane exerts no contact force; only its vibration remains.
     assert not torn["contact_force_n"][-1].any() and torn["vibration_force_n"][-1].any()
 
 
@@ -110,7 +110,7 @@ def test_fields_and_what_is_left_of_objects_are_contact_force() -> None:
 
 
 def test_the_contact_force_is_what_the_passivity_controller_left() -> None:
-    """A handle of which nothing is known to take energy: the wall yields on the way out."""
+    """A handle without known damping: the wall yields while the hand withdraws."""
     path = np.zeros((200, 2))
     path[:, 1] = 1e-5 * (np.abs(np.arange(200) - 100) - 95)
     device = {"sim": {"handle_damping_n_s_per_m": 0, "coulomb_friction_n": 0}}
@@ -125,7 +125,7 @@ def test_the_contact_force_is_what_the_passivity_controller_left() -> None:
 
 
 def test_contact_is_as_it_was_before_the_limit_and_noise_as_the_limit_left_it() -> None:
-    """Pressed with 2.4 N against a limit of 1 N, sandpaper sounding."""
+    """The hand presses with 2.4 N against sandpaper; the limit is 1 N."""
     rig = Rig({"floor": {**FLOOR, "material": "paper"}}, materials=MATERIALS, device={"max_force_n": 1})
     path = stroke()
     path[:, 1] = -0.003
@@ -143,5 +143,5 @@ def test_both_are_as_they_were_before_the_fade_of_set_forces() -> None:
     assert samples["contact_force_n"][:, 1] == pytest.approx(0.8)
     assert not samples["force_n"].any()
     assert not np.any(samples["flags"] & Flag.FORCES_ON)
-    # Nothing is struck while forces are off, but what noise there would be is told.
+    # No mode is struck while forces are off, but the noise is reported.
     assert np.abs(samples["vibration_force_n"]).max() > 0.01

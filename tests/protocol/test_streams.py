@@ -1,4 +1,4 @@
-"""Messages of streams: what is read without the general decoder is what that reads, and nothing else is read."""
+"""Messages of streams: `read` accepts only valid messages, and reads the same values as the general decoder."""
 
 from __future__ import annotations
 
@@ -86,9 +86,9 @@ def test_anything_else_is_left_to_the_decoder(body: bytes) -> None:
 
 def test_the_largest_values_are_those_that_the_params_allow() -> None:
     for model, kind in ((StreamTargetParams, "target"), (StreamForceParams, "force")):
-        most = streams.MAX_COMPONENT_BY_KIND[kind]  # type: ignore[index]
-        for value in (most, -most):
+        limit = streams.MAX_COMPONENT_BY_KIND[kind]  # type: ignore[index]
+        for value in (limit, -limit):
             model.parsed({"seq": streams.MAX_SEQ, streams.VECTOR_PARAM_BY_KIND[kind]: [value, 0]})  # type: ignore[index]
-        for value in (math.nextafter(most, math.inf), -math.nextafter(most, math.inf), math.nan, math.inf, True, "1"):
+        for value in (math.nextafter(limit, math.inf), -math.nextafter(limit, math.inf), math.nan, math.inf, True, "1"):
             with pytest.raises(ValueError, match=streams.VECTOR_PARAM_BY_KIND[kind]):  # type: ignore[index]
                 model.parsed({"seq": 0, streams.VECTOR_PARAM_BY_KIND[kind]: [value, 0]})  # type: ignore[index]

@@ -1,4 +1,4 @@
-"""Every fault of a message is told at once: those of its scene and materials beside those of its parameters."""
+"""All faults of a message are reported at once: those of scene and materials, and those of other parameters."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def methods() -> Methods:
 def test_every_fault_is_told_at_once(
     methods: Methods, method: str, params: dict[str, object], places: list[str]
 ) -> None:
-    with pytest.raises(MethodError) as told:
+    with pytest.raises(MethodError) as refused:
         methods.call(method, params)
-    assert isinstance(told.value.data, list)
-    assert sorted(problem["where"] for problem in told.value.data) == sorted(places)
+    assert isinstance(refused.value.data, list)
+    assert sorted(problem["where"] for problem in refused.value.data) == sorted(places)

@@ -1,4 +1,4 @@
-"""ZMTP without I/O: what peers may send, in whatever pieces it comes, and what ends a connection."""
+"""ZMTP without I/O: messages that peers may send, in pieces of any size, and data that ends a connection."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_what_is_announced_takes_no_memory_until_it_comes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "problem"),
     [
         (b"GET / HTTP/1.1\r\n", "not ZMTP 3"),
         (b"\x01\x00", "not ZMTP 3"),
@@ -88,8 +88,8 @@ def test_what_is_announced_takes_no_memory_until_it_comes() -> None:
     ids=range(15),
 )
 @pytest.mark.parametrize("piece", [None, 1])
-def test_what_is_no_zmtp_or_too_much_is_refused(data: bytes, said: str, piece: int | None) -> None:
-    with pytest.raises(ZmtpError, match=said):
+def test_what_is_no_zmtp_or_too_much_is_refused(data: bytes, problem: str, piece: int | None) -> None:
+    with pytest.raises(ZmtpError, match=problem):
         events(data, piece)
 
 

@@ -54,8 +54,8 @@ Differences from JSON-RPC 2.0:
 
 `x-params` is the schema of all params of a method together: it also states which exclude each other, and refuses
 unknown params. `x-validation` lists rules that the daemon validates in addition. Params that break the schema or a
-rule are refused with code -32602. A stale `expect_revision` (-32001), and `set_operator` without the simulated joystick
-(-32008), are refused before the other params are validated.
+rule are refused with code -32602. A stale `expect_revision` is refused (-32001) before scene, objects and materials are
+validated, `set_operator` without the simulated joystick (-32008) before its params are.
 """
 
 

@@ -39,26 +39,26 @@ from hapticd.recording.event_columns import EVENT_MEMBER_SCHEMAS, NULLABLE_MEMBE
 # ---- From draft 2020-12, of pydantic, to draft 7, of OpenRPC and AsyncAPI --------------------------------------------
 
 _OPEN_API_KEYWORD: Final = "discriminator"
-"""A keyword of OpenAPI that is left out: the `const` of `kind` expresses the same."""
+"""A keyword of OpenAPI that is left out, because the `const` of `kind` expresses the same."""
 
 
 def draft7(schema: Json) -> Json:
-    """Return a JSON Schema in draft 7: `items` for lists of fixed length, no member next to `$ref`, no default null."""
+    """Convert a JSON Schema to draft 7: `items` describes tuples, `$ref` stands alone, and no default is null."""
     if isinstance(schema, list):
         return [draft7(each) for each in schema]
     if not isinstance(schema, dict):
         return schema
-    found = {key: draft7(value) for key, value in schema.items() if key != _OPEN_API_KEYWORD}
-    if isinstance(found.get("properties"), dict):
+    result = {key: draft7(value) for key, value in schema.items() if key != _OPEN_API_KEYWORD}
+    if isinstance(result.get("properties"), dict):
         # pydantic's title of a property only repeats its key.
-        found["properties"] = {key: _untitled(each) for key, each in found["properties"].items()}  # type: ignore[union-attr]
-    if "prefixItems" in found:
-        found["items"] = found.pop("prefixItems")
-    if found.get("default", 0) is None:
-        del found["default"]
-    if "$ref" in found and len(found) > 1:
-        found = {"allOf": [{"$ref": found.pop("$ref")}], **found}
-    return found
+        result["properties"] = {key: _untitled(each) for key, each in result["properties"].items()}  # type: ignore[union-attr]
+    if "prefixItems" in result:
+        result["items"] = result.pop("prefixItems")
+    if result.get("default", 0) is None:
+        del result["default"]
+    if "$ref" in result and len(result) > 1:
+        result = {"allOf": [{"$ref": result.pop("$ref")}], **result}
+    return result
 
 
 def _untitled(schema: Json) -> Json:
@@ -85,18 +85,18 @@ def params_model(method: str) -> type[Model]:
 def params_schemas() -> Schemas:
     """Return the schemas of the params of all methods, and of the models that they refer to, by the models' names."""
     models = {params_model(method): None for method in METHOD_PARAMS} | {Scene: None, Material: None}
-    _, found = models_json_schema(
+    _, document = models_json_schema(
         [(model, "validation") for model in models], ref_template=f"{SCHEMA_REF_PREFIX}{{model}}"
     )
-    schemas = cast(Schemas, draft7(closed(cast(Json, found["$defs"]))))
+    schemas = cast(Schemas, draft7(closed(cast(Json, document["$defs"]))))
     kinds = [model.__name__ for model in _kinds()]
-    schemas["MaterialPatch"] = _patch("Material", schemas)
+    schemas["MaterialPatch"] = _model_patch("Material", schemas)
     for kind in kinds:
-        schemas[f"{kind}Patch"] = _patch(kind, schemas)
-    _properties(schemas["UpdateMaterialsParams"])["materials"]["patternProperties"] = _by_name(
+        schemas[f"{kind}Patch"] = _model_patch(kind, schemas)
+    _properties(schemas["UpdateMaterialsParams"])["materials"]["patternProperties"] = _named(
         [f"{SCHEMA_REF_PREFIX}MaterialPatch"]
     )
-    _properties(schemas["UpdateSceneParams"])["objects"]["patternProperties"] = _by_name(
+    _properties(schemas["UpdateSceneParams"])["objects"]["patternProperties"] = _named(
         [f"{SCHEMA_REF_PREFIX}{kind}Patch" for kind in kinds]
     )
     for model, name in (("UpdateMaterialsParams", "materials"), ("UpdateSceneParams", "objects")):
@@ -113,25 +113,26 @@ def _properties(schema: dict[str, Json]) -> Schemas:
     return cast(Schemas, schema["properties"])
 
 
-def _by_name(patches: list[str]) -> dict[str, Json]:
+def _named(patches: list[str]) -> dict[str, Json]:
+    """Return the value of `patternProperties` for a map from names to merge patches; null removes a name."""
     pattern = NAME_PATTERN.replace("]+$", f"]{{1,{MAX_NAME_CHARACTERS}}}$")
     options: list[Json] = [{"$ref": patch} for patch in patches]
     return {pattern: {"anyOf": [*options, _NULL_SCHEMA]}}
 
 
-def _patch(name: str, schemas: Schemas) -> dict[str, Json]:
+def _model_patch(name: str, schemas: Schemas) -> dict[str, Json]:
     """Return the schema of a merge patch (RFC 7396) of the model `name`.
 
     Keys that the model lacks may be null: a patch that changes an object's `kind` must remove keys of the old kind.
     """
-    found = {key: value for key, value in schemas[name].items() if key in _PATCH_KEYWORDS}
-    found["description"] = f"A JSON Merge Patch. {found['description']}"
-    found["properties"] = {key: _patched(value, schemas) for key, value in _properties(found).items()}
-    return {**found, "additionalProperties": _NULL_SCHEMA}
+    patch = {key: value for key, value in schemas[name].items() if key in _PATCH_KEYWORDS}
+    patch["description"] = f"A JSON Merge Patch. {patch['description']}"
+    patch["properties"] = {key: _member_patch(value, schemas) for key, value in _properties(patch).items()}
+    return {**patch, "additionalProperties": _NULL_SCHEMA}
 
 
-def _patched(schema: dict[str, Json], schemas: Schemas) -> Json:
-    """Return the schema of a member of a merge patch: null, or a patch if the member is an object, else its value."""
+def _member_patch(schema: dict[str, Json], schemas: Schemas) -> Json:
+    """Return the schema of a member of a merge patch: null, the patch of an object, or another value."""
     about = {"description": schema["description"]} if "description" in schema else {}
     options = cast(
         "list[dict[str, Json]]", schema.get("anyOf") or schema.get("oneOf") or schema.get("allOf") or [schema]
@@ -141,11 +142,11 @@ def _patched(schema: dict[str, Json], schemas: Schemas) -> Json:
         reference = cast("str | None", option.get("$ref"))
         choices = cast("list[dict[str, Json]]", option.get("oneOf", []))
         if reference is not None:
-            members.append(_nested(reference, schemas))
+            members.append(_referred_patch(reference, schemas))
         elif choices:
-            members += [_nested(cast(str, choice["$ref"]), schemas) for choice in choices]
+            members += [_referred_patch(cast(str, choice["$ref"]), schemas) for choice in choices]
         elif option != _NULL_SCHEMA:
-            members.append(_by_names(option) if "patternProperties" in option else _without_words(option))
+            members.append(_mapping_patch(option) if "patternProperties" in option else _without_words(option))
     return {**about, "anyOf": [*members, _NULL_SCHEMA]}
 
 
@@ -153,21 +154,22 @@ def _without_words(schema: dict[str, Json]) -> dict[str, Json]:
     return {key: value for key, value in schema.items() if key not in ("default", "description")}
 
 
-def _by_names(schema: dict[str, Json]) -> dict[str, Json]:
+def _mapping_patch(schema: dict[str, Json]) -> dict[str, Json]:
     """Return the schema of a merge patch (RFC 7396) of a mapping whose keys are names."""
-    found = {key: value for key, value in _without_words(schema).items() if key != "propertyNames"}
+    patch = {key: value for key, value in _without_words(schema).items() if key != "propertyNames"}
     patterns = cast(Schemas, schema["patternProperties"])
-    found["patternProperties"] = {pattern: {"anyOf": [value, _NULL_SCHEMA]} for pattern, value in patterns.items()}
-    return {**found, "additionalProperties": _NULL_SCHEMA}
+    patch["patternProperties"] = {pattern: {"anyOf": [value, _NULL_SCHEMA]} for pattern, value in patterns.items()}
+    return {**patch, "additionalProperties": _NULL_SCHEMA}
 
 
-def _nested(reference: str, schemas: Schemas) -> Json:
+def _referred_patch(reference: str, schemas: Schemas) -> Json:
+    """Return a reference to the merge patch of an object's schema, which is made if missing, or else `reference`."""
     name = reference.removeprefix(SCHEMA_REF_PREFIX)
     if schemas[name].get("type") != "object":
         return {"$ref": reference}
     if f"{name}Patch" not in schemas:
         schemas[f"{name}Patch"] = {}  # a placeholder, in case that the schema refers to itself
-        schemas[f"{name}Patch"] = _patch(name, schemas)
+        schemas[f"{name}Patch"] = _model_patch(name, schemas)
     return {"$ref": f"{reference}Patch"}
 
 
@@ -187,7 +189,7 @@ class _AnyJson:
 
 
 def schema_of(kind: Any) -> dict[str, Json]:
-    """Return the JSON Schema of a type of protocol/results, with its docstring as description."""
+    """Return the JSON Schema of a type of protocol/results; the docstring of the type is the description."""
     if kind is _AnyJson:
         return {}
     if kind in _JSON_TYPE_NAMES:

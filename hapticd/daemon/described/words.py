@@ -17,7 +17,7 @@ _COMMAND_CODES: Final = (Code.RING_FULL, Code.WAIT_TIMED_OUT)
 CODES_OF_EVERY_METHOD: Final = (Code.INVALID_PARAMS, Code.INTERNAL, Code.DAEMON_AWAY)
 """Errors that a request of any method may get."""
 CODES_OF_ANY_MESSAGE: Final = (Code.PARSE, Code.INVALID_REQUEST, Code.NO_SUCH_METHOD)
-"""Errors of a message that does not call a method of the protocol."""
+"""Errors of a message that is not a request for a method of the protocol."""
 
 
 class MethodDescription(NamedTuple):
@@ -146,8 +146,8 @@ VALIDATION_RULES: Final[dict[str, str]] = {
     "provenance": "a date must be a day of the calendar; the upper end of an interval must not be below the lower one",
     "stroke": "from_m and to_m of a stroke must differ",
     "json": "data of a mark must not contain byte strings, and must have at most 8192 bytes as JSON",
-    "known": "materials, objects and the tap or rupture of a material that are named must exist; materials that the "
-    "scene uses cannot be removed",
+    "known": "named materials and objects must exist; the material of play must have a tap that is not a waveform, or, "
+    "without a tap, a rupture; materials that the scene uses cannot be removed",
     "rate": "frequencies of textures that the scene uses must be below the limit of the servo's rate",
     "reach": "a gesture must lie on its object, which must have a stiffness (a stroke) or a rupture (a puncture)",
     "merged": "an object or a material must be valid after a merge patch",
