@@ -208,4 +208,4 @@ def _better_waveform(
         found = fit_waveform(pulses, warnings, excluded)
     except FitError:
         return None
-    return found if 1 - found.variance_accounted_for < WAVEFORM_LIMITS.max_left_ratio * (1 - by_mode) else None
+    return found if 1 - found.variance_accounted_for < WAVEFORM_LIMITS.max_residual_ratio * (1 - by_mode) else None

@@ -103,14 +103,14 @@ def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
         size = float(left[k]) / float(unit[middle])
         # One or two knocks must not hide strikes.
         usual = strong() if len(sizes) >= GROOVE_LIMITS.min_strikes else 0.0
-        if abs(size) <= max(GROOVE_LIMITS.min_strike * usual, min(4 * noise, 0.5 * usual)):
+        if abs(size) <= max(GROOVE_LIMITS.min_strike_size * usual, min(4 * noise, 0.5 * usual)):
             break
         low, high = max(0, k - middle), min(len(left), k + middle + 1)
         left[low:high] -= size * unit[low - k + middle : high - k + middle]
         # The remainder near a strike is due to errors of its time and of the mode.
         free[max(0, k - reach) : k + reach + 1] = False
         sizes[k] = size
-    least = GROOVE_LIMITS.min_strike * strong()
+    least = GROOVE_LIMITS.min_strike_size * strong()
     return np.array(sorted(k for k, size in sizes.items() if abs(size) > least), dtype=np.int64)
 
 
@@ -291,7 +291,7 @@ class StrokeFit:
         if slow := preparation.undersampled(self._rate_hz, rough):
             raise FitError(f"{self.name}: {slow}")
         mode, onsets = self._refined_with_onsets(*self._initial(2 * math.pi * rough))
-        if self._unevenness_of(onsets) > GROOVE_LIMITS.even_row:
+        if self._unevenness_of(onsets) > GROOVE_LIMITS.max_even_scatter:
             # A wrong first mode makes false strikes.
             again = self._found(mode)
             if len(again) >= GROOVE_LIMITS.min_strikes and self._unevenness_of(again) < self._unevenness_of(onsets):
@@ -328,7 +328,7 @@ class StrokeFit:
             uneven = self._unevenness_of(onsets)
             if best is None or uneven < best[0]:
                 best = uneven, mode, onsets
-            if uneven < GROOVE_LIMITS.even_row:
+            if uneven < GROOVE_LIMITS.max_even_scatter:
                 break
         if best is None:
             raise FitError(f"{self.name}: {most} strikes, {GROOVE_LIMITS.min_strikes} are needed: no grooves here")
@@ -385,7 +385,8 @@ class StrokeFit:
                 regular[k if off[k] > off[k + 1] else k + 1] = False
         spread = float(np.sqrt(np.mean(off[regular] ** 2))) if regular.any() else 1.0
         if (
-            np.count_nonzero(regular) < max(GROOVE_LIMITS.min_strikes, GROOVE_LIMITS.min_regular * len(position))
+            np.count_nonzero(regular)
+            < max(GROOVE_LIMITS.min_strikes, GROOVE_LIMITS.min_regular_strikes * len(position))
             or spread > GROOVE_LIMITS.max_unevenness
         ):
             raise FitError(self._scattered(spread, mode, onsets))

@@ -156,7 +156,7 @@ class _Column:
         spans, first = spans_of(over), int(np.argmax(over))
         value = f"{self._what} of {self._value(first)}"
         bound = f" (at most {limit:g})" if question else ""
-        if np.mean(over) > PREPARATION_LIMITS.max_beyond_limit or len(spans) > PREPARATION_LIMITS.max_findings:
+        if np.mean(over) > PREPARATION_LIMITS.max_invalid_fraction or len(spans) > PREPARATION_LIMITS.max_faults:
             raise UnitError(
                 f"{self._file}: {value} is impossible{bound}, and so are {100 * np.mean(over):.3g} % of the samples"
                 f"{f': {question}' if question else ''}"
@@ -173,7 +173,7 @@ class _Column:
         half = max(PREPARATION_LIMITS.max_spike_samples, round(2 * PREPARATION_LIMITS.max_spike_s * self._rate_hz))
         found: Spans = []
         near = spans_of(np.abs(values - float(np.median(values))) > 0.75 * far)
-        for low, high in near if len(near) <= 10 * PREPARATION_LIMITS.max_findings else ():
+        for low, high in near if len(near) <= 10 * PREPARATION_LIMITS.max_faults else ():
             if high - low > 2 * half:
                 continue
             about = float(np.median(values[max(0, low - half) : high + half]))
@@ -230,7 +230,7 @@ class _Column:
             for low, high in zip(starts[runs >= least], ends[runs >= least], strict=True)
             if self.values[low] != 0 or not (low == 0 or high == len(self.values))
         ]
-        if not found or len(found) > PREPARATION_LIMITS.max_findings:
+        if not found or len(found) > PREPARATION_LIMITS.max_faults:
             return
         low, high = found[0]
         value = f"{self.values[low]:.6g} {self._unit}"
@@ -261,7 +261,7 @@ class _Column:
                 leaps.append(int(k))
         if not leaps:
             return
-        if len(leaps) > PREPARATION_LIMITS.max_findings:
+        if len(leaps) > PREPARATION_LIMITS.max_faults:
             raise FitError(
                 f"{self._file}: {self._what} leaps in {len(leaps)} places, first by {steps[leaps[0]]:.4g} "
                 f"{self._unit} at {self._at(leaps[0] + 1)}: is it the right column, or was the encoder disturbed?"
@@ -301,7 +301,7 @@ class _Column:
             self.values = self.values - np.cumsum(shift)
 
     def _replace_leaping(self, found: Spans) -> None:
-        if not found or len(found) > PREPARATION_LIMITS.max_findings:
+        if not found or len(found) > PREPARATION_LIMITS.max_faults:
             # More are a property of the recording.
             return
         low, high = found[0]
@@ -370,10 +370,10 @@ def complete_sections(recording: Recording, least_s: float, excluded: Exclusions
     kept = [(begin, end) for begin, end in spans_of(~bad) if end - begin >= least_s * rate_hz]
     there = sum(end - begin for begin, end in kept)
     reason = ", ".join(reasons)
-    if there < PREPARATION_LIMITS.min_complete * samples:
+    if there < PREPARATION_LIMITS.min_complete_fraction * samples:
         raise FitError(
             f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is in complete sections of {least_s:g} "
-            f"s, {100 * PREPARATION_LIMITS.min_complete:.0f} % are needed"
+            f"s, {100 * PREPARATION_LIMITS.min_complete_fraction:.0f} % are needed"
         )
     excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
     found = []

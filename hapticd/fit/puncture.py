@@ -57,8 +57,8 @@ class _Puncture:
         force, place = preparation.force_of(recording), recording.position_m
         if place is None:
             raise FitError(f"{name}: no position along the normal, which this fit needs")
-        if np.ptp(place) > PUNCTURE_LIMITS.max_way_m:
-            limit_m = PUNCTURE_LIMITS.max_way_m
+        if np.ptp(place) > PUNCTURE_LIMITS.max_depth_m:
+            limit_m = PUNCTURE_LIMITS.max_depth_m
             raise UnitError(
                 f"{name}: the position must span at most {limit_m:g} m, spans {np.ptp(place):.4g} m: is it in mm?"
             )
@@ -140,7 +140,7 @@ class _Puncture:
         the line does, by more than 3 % of the depth of the rupture.
         """
         half = self._half
-        soft = max(PUNCTURE_LIMITS.soft_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
+        soft = max(PUNCTURE_LIMITS.touch_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
         touched = np.flatnonzero(self._smooth[: self._at - half] - self._rest_n > soft)
         if not len(touched):
             return
@@ -165,7 +165,7 @@ class _Puncture:
         depth = float(fitted[0] + 0.5 * fitted[1]) - self._surface_m
         ringing = self._ringing()
         left = float(np.median(force[at + 2 * half : at + 6 * half])) - self._rest_n
-        if left > PUNCTURE_LIMITS.max_force_left * self._load_n:
+        if left > PUNCTURE_LIMITS.max_remaining_force * self._load_n:
             self._warn(
                 "force is left after the rupture",
                 f"{100 * left / self._load_n:.0f} % of the force is left after the rupture: something holds the "
@@ -174,7 +174,7 @@ class _Puncture:
         # Another drop before or after, from 0.3 of the load, while the stylus advances, is a second rupture.
         for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):
             other = _drop(part, self._rate_hz)
-            if other is None or not part[other] - self._rest_n > PUNCTURE_LIMITS.second_rupture * self._load_n:
+            if other is None or not part[other] - self._rest_n > PUNCTURE_LIMITS.min_second_drop_load * self._load_n:
                 continue
             if self._speed[start + other] > 0:
                 early, late = sorted((at, start + other))
@@ -380,7 +380,7 @@ def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rup
     ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
     usual = np.median(ringing, axis=0)
     off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > PUNCTURE_LIMITS.max_outlier_ratio
-    if np.count_nonzero(off) > PUNCTURE_LIMITS.max_outliers * len(ruptures):
+    if np.count_nonzero(off) > PUNCTURE_LIMITS.max_outlier_fraction * len(ruptures):
         return ruptures
     for each, far in zip(ruptures, off, strict=True):
         if far:

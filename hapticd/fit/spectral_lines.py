@@ -64,7 +64,7 @@ def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> lis
     left = power.copy()
     left[(frequency < LINE_LIMITS.min_frequency_hz) | (np.arange(len(power)) < outer)] = 0.0
     left[max(0, len(power) - outer) :] = 0.0
-    for _ in range(10 * LINE_LIMITS.max_named):
+    for _ in range(10 * LINE_LIMITS.max_lines):
         place = int(np.argmax(left))
         here = slice(place - 2, place + 3)
         if left[place] <= 0 or power[here].sum() < LINE_LIMITS.min_share * total:
@@ -129,10 +129,9 @@ def described(lines: Sequence[SpectralLine]) -> str:
     if len(lines) == 1:
         what = f"a line at {hertz[lines[0]]} holds {100 * lines[0].share:.2g} % of the power"
     else:
-        loudest = sorted(
-            sorted(lines, key=lambda line: -line.share)[: LINE_LIMITS.max_named], key=lambda line: line.frequency_hz
-        )
+        loudest = sorted(lines, key=lambda line: -line.share)[: LINE_LIMITS.max_lines]
+        loudest.sort(key=lambda line: line.frequency_hz)
         shares = ", ".join(f"{hertz[line]} {100 * line.share:.2g} %" for line in loudest)
-        more = f" and {len(lines) - LINE_LIMITS.max_named} more" if len(lines) > LINE_LIMITS.max_named else ""
+        more = f" and {len(lines) - len(loudest)} more" if len(lines) > len(loudest) else ""
         what = f"lines hold {100 * sum(line.share for line in lines):.2g} % of the power ({shares}{more})"
     return f"{what}: hum or another tone, which changes the figures"

@@ -90,7 +90,7 @@ def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
     The ratio is 1 for a mass that rings elastically, and 0.07 to 0.87 for the seven materials of Okamura et al. 1998.
     `named` is the name of the angular frequency in the error.
     """
-    softest, hardest = SPEED_LAW_LIMITS.min_slope_to_angular, SPEED_LAW_LIMITS.max_slope_to_angular
+    softest, hardest = SPEED_LAW_LIMITS.min_slope_to_angular_frequency, SPEED_LAW_LIMITS.max_slope_to_angular_frequency
     ratio = slope_per_s / angular
     if not softest <= ratio <= hardest:
         raise FitError(

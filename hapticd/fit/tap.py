@@ -222,7 +222,7 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
             continue
         # Upper bound of the tail of the normal distribution.
         loud_noise = math.sqrt(2 * math.log(len(size) / 0.01))
-        loud = np.flatnonzero(size > max(loud_noise * noise, TAP_LIMITS.min_loud * highest))
+        loud = np.flatnonzero(size > max(loud_noise * noise, TAP_LIMITS.min_loud_level * highest))
         # Events are separated by 20 ms without a loud sample.
         for part in np.split(loud, np.flatnonzero(np.diff(loud) > TAP_LIMITS.min_quiet_s * rate_hz) + 1):
             first, last = int(part[0]), int(part[-1])
@@ -1066,7 +1066,7 @@ def _of_one_sign(hits: list[TapHit], lines: list[str], excluded: Exclusions) -> 
             continue
         found.append(tap if usual > 0 else tap.negated())
     other = len(hits) - len(found)
-    if len(found) < SPEED_LAW_LIMITS.min_taps or (other > 1 and other > TAP_LIMITS.max_other_sign * len(hits)):
+    if len(found) < SPEED_LAW_LIMITS.min_taps or (other > 1 and other > TAP_LIMITS.max_opposite_fraction * len(hits)):
         raise FitError(
             f"{other} of {len(hits)} taps begin with the other sign: a surface pushes one way; are there other events "
             "among them, or is the rate too low?"
@@ -1082,7 +1082,7 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
         )
     longest_s = max(len(tap.measured) / tap.rate_hz for tap in taps)
     # The fitted section has seven decay times, unless the recording or the next tap ends it.
-    if decay_time_s > TAP_LIMITS.max_decay * longest_s:
+    if decay_time_s > TAP_LIMITS.max_decay_time * longest_s:
         raise FitError(
             f"the ringing does not decay: its decay time is {decay_time_s:.3g} s, but {longest_s:.3g} s were fitted"
         )
@@ -1152,11 +1152,11 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
     taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
     share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
     chance = statistics.f_test_p(float(samples), samples, max(0.0, samples - taken), samples - size)
-    if share > TAP_LIMITS.min_pattern and (
+    if share > TAP_LIMITS.min_pattern_rms and (
         chance < SPEED_LAW_LIMITS.significance or noisy > TAP_LIMITS.max_residual_to_noise
     ):
         return f"the residuals have a pattern of {100 * share:.0f} % of the ringing"
-    if noisy > TAP_LIMITS.max_residual_to_noise and math.sqrt(left / heard) > TAP_LIMITS.min_pattern:
+    if noisy > TAP_LIMITS.max_residual_to_noise and math.sqrt(left / heard) > TAP_LIMITS.min_pattern_rms:
         return f"the residuals are {noisy:.1f} times the noise before the taps"
     return ""
 

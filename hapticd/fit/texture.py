@@ -169,7 +169,7 @@ def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
             "motion of a hand, not a texture"
         )
     loudest = np.sort(density[heard])[-3:]
-    if loudest.sum() > TEXTURE_LIMITS.max_tone * density[heard].sum():
+    if loudest.sum() > TEXTURE_LIMITS.max_tone_power * density[heard].sum():
         raise FitError(
             f"{name}: a tone at {frequency[heard][np.argmax(density[heard])]:.4g} Hz holds most of the power: hum or a "
             "ringing, not a texture"
@@ -293,7 +293,7 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
         return _parabola_peak(frequency, density)
 
     def upper(density: Floats) -> float:
-        return _parabola_peak(frequency, density, TEXTURE_LIMITS.narrow_top)
+        return _parabola_peak(frequency, density, TEXTURE_LIMITS.narrow_peak_level)
 
     found = jackknifed(parabola, shape, strokes)
     top = jackknifed(upper, shape, strokes)
@@ -303,7 +303,7 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
         return Peak(found, True)
     # The interval may be far too wide: it is limited to where the density is above half of its highest value.
     smooth, place = _highest(frequency, shape.mean(axis=0))
-    below = np.flatnonzero(smooth[place:] < TEXTURE_LIMITS.wide_top * smooth[place])
+    below = np.flatnonzero(smooth[place:] < TEXTURE_LIMITS.peak_level * smooth[place])
     reach = min(found.high, float(frequency[place + below[0]] if len(below) else frequency[-1]))
     return Peak(Estimate(found.value, 0.0, max(_highest_resampled(frequency, shape), reach, found.value)), False)
 
@@ -319,7 +319,7 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
     value = figure(shape.mean(axis=0))
     error, freedom = _left_out(figure, shape, _groups_of(len(shape)))
     by_stroke = [np.flatnonzero(strokes == each) for each in np.unique(strokes)]
-    if 3 <= len(by_stroke) <= TEXTURE_LIMITS.jackknife_groups:
+    if 3 <= len(by_stroke) <= TEXTURE_LIMITS.max_jackknife_groups:
         wider, fewer = _left_out(figure, shape, by_stroke)
         if wider > error * math.sqrt(float(fdtri(fewer, freedom, 0.95))):
             error, freedom = wider, fewer
@@ -328,7 +328,7 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
 
 def _groups_of(blocks: int) -> list[Ints]:
     """Return groups of consecutive blocks, each as the indices of its blocks."""
-    edges = np.linspace(0, blocks, min(TEXTURE_LIMITS.jackknife_groups, blocks) + 1).round().astype(np.int64)
+    edges = np.linspace(0, blocks, min(TEXTURE_LIMITS.max_jackknife_groups, blocks) + 1).round().astype(np.int64)
     return [np.arange(low, high) for low, high in pairwise(edges)]
 
 
@@ -354,7 +354,7 @@ def _highest(frequency: Floats, density: Floats) -> tuple[Floats, int]:
     return smooth, int(np.argmax(np.where(frequency >= TEXTURE_LIMITS.min_frequency_hz, smooth, 0.0)))
 
 
-def _parabola_peak(frequency: Floats, shape: Floats, fraction: float = TEXTURE_LIMITS.wide_top) -> float:
+def _parabola_peak(frequency: Floats, shape: Floats, fraction: float = TEXTURE_LIMITS.peak_level) -> float:
     """Return the peak, Hz, of a parabola fitted to 1/density above this `fraction` of the highest density."""
     smooth, place = _highest(frequency, shape)
     outside = (smooth <= fraction * smooth[place]) | (frequency < TEXTURE_LIMITS.min_frequency_hz)
@@ -734,7 +734,7 @@ class _TwoTextures(FitError):
 def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
     """Raise _TwoTextures if the logarithm of mean frequency or loudness of a recording scatters or jumps too much."""
     count = len(pitch)
-    if count > 3 and float(np.std(pitch)) > TEXTURE_LIMITS.max_pitch_scatter:
+    if count > 3 and float(np.std(pitch)) > TEXTURE_LIMITS.max_frequency_scatter:
         raise _TwoTextures(
             name,
             f"two textures in one file, or none: the mean frequency varies from {math.exp(pitch.min()):.3g} to "
@@ -742,7 +742,7 @@ def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
         )
     for k in range(3, count - 2):
         for values, least, what in (
-            (pitch, TEXTURE_LIMITS.min_pitch_step, "mean frequency"),
+            (pitch, TEXTURE_LIMITS.min_frequency_step, "mean frequency"),
             (loudness, TEXTURE_LIMITS.min_loudness_step, "loudness"),
         ):
             one, other = values[:k], values[k:]

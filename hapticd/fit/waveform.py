@@ -71,13 +71,10 @@ class Pulse:
         return float(np.median(self.measured[:first]))
 
     def crossing_s(self) -> float:
-        """Return when the pulse rises above the fraction WAVEFORM_LIMITS.crossing of its peak, in s after its start."""
+        """Return the time, s after the first sample, at which the pulse rises above WAVEFORM_LIMITS.alignment_level."""
         size = np.abs(self.measured - self.rest)
-        level, peak = (
-            WAVEFORM_LIMITS.crossing * float(size.max()),
-            int(np.argmax(size >= WAVEFORM_LIMITS.large * size.max())),
-        )
-        below = np.flatnonzero(size[:peak] < level)
+        level = WAVEFORM_LIMITS.alignment_level * float(size.max())
+        below = np.flatnonzero(size[: int(np.argmax(size >= WAVEFORM_LIMITS.rise_end_level * size.max()))] < level)
         if not len(below):
             return 0.0
         before = int(below[-1])
@@ -304,7 +301,7 @@ class Shape:
         if not total > 0:
             raise FitError("the taps have no common waveform that is larger than their differences")
         ahead = np.flatnonzero(np.cumsum(energy) <= WAVEFORM_LIMITS.max_faint_energy * total)
-        rise = int(np.argmax(np.abs(samples) >= WAVEFORM_LIMITS.large * np.abs(samples).max()))
+        rise = int(np.argmax(np.abs(samples) >= WAVEFORM_LIMITS.rise_end_level * np.abs(samples).max()))
         at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= 3.0 * noise[:rise])
         begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
         left, end = 0.0, len(samples) - 1
@@ -316,7 +313,7 @@ class Shape:
         end = min(len(samples) - 1, end + 1)
         faded = (
             end == len(samples) - 1
-            and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > WAVEFORM_LIMITS.max_end
+            and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > WAVEFORM_LIMITS.max_end_level
         )
         length_s = (end - begin) / rate_hz
         finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MAX_WAVEFORM_SAMPLES - 1) / max(length_s, 1e-9))
@@ -326,7 +323,7 @@ class Shape:
         pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(self.pulses, moved, strict=True)]
         found = Shape.of(pulses, moved, finer_hz, count, rounds=4)
         if faded:
-            over = max(2, round(WAVEFORM_LIMITS.fade * count))
+            over = max(2, round(WAVEFORM_LIMITS.fade_out_fraction * count))
             found.samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
             found.samples[-1] = 0.0
         return found, faded
@@ -395,7 +392,7 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     between_s = np.arange(2 * count - 1) / (2 * shape.rate_hz)
     changes = (WAVEFORM_LIMITS.error_to_change * (finer.samples - shape.curve.at(between_s))) ** 2
     # The faded end does not affect the amplitudes.
-    unfaded = changes[: math.floor((1 - WAVEFORM_LIMITS.fade) * len(changes))] if faded else changes
+    unfaded = changes[: math.floor((1 - WAVEFORM_LIMITS.fade_out_fraction) * len(changes))] if faded else changes
     off = WAVEFORM_LIMITS.error_to_change * (_ratio(finer.fitted, shape.fitted) - 1.0)
     # Squares are averaged over five neighbours, fewer near the ends: of few taps some are small by chance.
     squares = jackknife_error(np.array(samples))[1:-1] ** 2
@@ -529,7 +526,8 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     warnings.check("variance that a waveform explains", share)
     if faded:
         reason = f"the pulses have not ended after {1e3 * curve.length_s:.3g} ms"
-        warnings.add(False, reason, f"the waveform is faded out over its last {100 * WAVEFORM_LIMITS.fade:.0f} %")
+        percent = 100 * WAVEFORM_LIMITS.fade_out_fraction
+        warnings.add(False, reason, f"the waveform is faded out over its last {percent:.0f} %")
     warnings.check("samples in a period of a waveform", resolved)
     speed_law.check_law(warnings, law, line.r_squared)
     excluded.report_taps(len(hits), warnings)
