@@ -157,7 +157,7 @@ class GrooveLimits:
     max_first_unevenness: float = _limit(0.22, "RMS fraction of the spacing", "Strikes at random positions have 0.29.")
     max_unevenness: float = _limit(0.12, "RMS fraction of the spacing", "A less even row is not a row of grooves.")
     max_offset: float = _limit(0.25, "fraction of the spacing", "A strike farther from its groove is left out.")
-    min_regular_strikes: float = _limit(0.7, "fraction of the strikes", "If fewer lie in a row, there are no grooves.")
+    min_regular_fraction: float = _limit(0.7, "fraction of the strikes", "If fewer lie in a row, there are no grooves.")
     min_explained: float = _limit(0.5, "fraction of the variance", "A mode that explains less is not that of grooves.")
     min_amplitude_m_per_s2: float = _limit(0.1, "m/s^2", "If the median strike is weaker, the unit is wrong.")
     max_amplitude_m_per_s2: float = _limit(5000.0, "m/s^2", "If the median strike is stronger, the unit is wrong.")

@@ -305,13 +305,9 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     report_lines(ruptures, lines, warnings)
     warnings.check("punctures", len(ruptures))
 
+    low, high = PUNCTURE_LIMITS.min_amplitude_m_per_s2, PUNCTURE_LIMITS.max_amplitude_m_per_s2
     usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
-    preparation.check_range(
-        usual,
-        PUNCTURE_LIMITS.min_amplitude_m_per_s2,
-        PUNCTURE_LIMITS.max_amplitude_m_per_s2,
-        "usual amplitude of the ruptures",
-    )
+    preparation.check_range(usual, low, high, "median amplitude of the ruptures")
     named = {
         "depth_m": "rupture depth",
         "stiffness_n_per_m": "stiffness",

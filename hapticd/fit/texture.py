@@ -249,13 +249,8 @@ class _Blocks:
             name = strokes[stroke[int(np.argmin(power))]].recording.name
             raise FitError(f"{name}: a block is not louder than the sensor's noise")
         rms = np.sqrt(power)
-        usual = float(np.median(rms))
-        preparation.check_range(
-            usual,
-            TEXTURE_LIMITS.min_rms_m_per_s2,
-            TEXTURE_LIMITS.max_rms_m_per_s2,
-            "usual RMS",
-        )
+        low, high = TEXTURE_LIMITS.min_rms_m_per_s2, TEXTURE_LIMITS.max_rms_m_per_s2
+        preparation.check_range(float(np.median(rms)), low, high, "median RMS")
         return cls(strokes, stroke, frequency, density, tail, np.concatenate([each.means for each in cut]), rms)
 
     @property

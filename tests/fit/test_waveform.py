@@ -249,7 +249,7 @@ def test_a_tap_that_is_another_is_left_out_and_told() -> None:
     found = waveform_of(recording)
     assert len(found.taps) == len(SPEEDS) - 2
     assert [line for line in found.warnings if "is left out: the waveform of the others explains" in line]
-    assert [line for line in found.warnings if "is left out: it pushes with the other sign" in line]
+    assert [line for line in found.warnings if "is left out: pushes with the opposite sign" in line]
     assert len(found.left_out) == 2
     with pytest.raises(FitError, match="--strict forbids exclusions"):
         fit_taps([recording], "waveform", excluded=Exclusions(strict=True))
