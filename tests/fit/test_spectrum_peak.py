@@ -112,7 +112,7 @@ def test_a_texture_without_a_peak_says_so_in_the_material(autoregressive: bool) 
     assert fit.peak_hz.low == 0.0
     (told,) = (line for line in fit.warnings if "peak" in line)
     assert told.startswith(
-        "the peak is not resolved: the spectrum is broad, or highest below 20 Hz; it lies between 0 "
+        "the peak is not resolved: the spectrum is broad, or highest below 20 Hz; the peak is below "
     )
     made = fitted_material(fit, strokes, "texture", 500.0)
     judged = made.fitted["texture"]
