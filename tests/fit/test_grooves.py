@@ -167,7 +167,7 @@ SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
     (lambda each: {"force_n": 1e-6 * each.force_n}, "too small"),
     (lambda each: {"tangential_position_m": 1e3 * each.tangential_position_m}, "in mm"),
     (lambda each: {"tangential_position_m": 0 * each.tangential_position_m}, "never moves"),
-    (lambda each: {"speed_m_per_s": np.full(7, 0.1)}, "holds 7 speeds"),
+    (lambda each: {"speed_m_per_s": np.full(7, 0.1)}, "7 speeds for"),
     (lambda each: {"acceleration_m_per_s2": np.minimum(each.acceleration_m_per_s2, 30.0)}, "clipped"),
 ]
 
