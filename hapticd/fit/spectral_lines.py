@@ -1,9 +1,9 @@
 """Spectral lines, hum or other tones, with the fraction of the power that each holds.
 
-In a periodogram of the complete recording with Hann's window, the power of noise is exponentially distributed. Its
-mean is estimated from the median of n neighbouring bins. A bin belongs to a line if noise has its power in any of the N
-bins with a probability of at most p = LINE_LIMITS.max_chance: power/mean exceeds the quantile 1 - p/N of the F
-distribution with 2 and 2 n degrees of freedom. Half of several recordings must have the line, with a lower
+In a periodogram of the complete recording with Hann's window, the power of noise is exponentially distributed. The mean
+power of the noise is estimated from the median of n neighbouring bins. A bin belongs to a line if power/mean exceeds
+the quantile 1 - p/N of the F distribution with 2 and 2 n degrees of freedom. Noise then exceeds it in any of the N bins
+with a probability of at most p = LINE_LIMITS.max_chance. Half of several recordings must have the line, with a lower
 threshold than for a single recording. A ringing is broader, and is not found.
 """
 
@@ -32,14 +32,14 @@ class SpectralLine:
 
 
 def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the spectral lines of one recording (n,), the strongest first.
+    """Return the spectral lines of the acceleration (n,) of one recording, the strongest first.
 
     `needed` is the number of recordings that must have a line; a larger number lowers the threshold of each recording.
     """
     from scipy.special import fdtri
 
     count = len(acceleration)
-    # In a shorter recording a line looks like a ringing.
+    # In a shorter recording a line cannot be separated from a ringing.
     if count < LINE_LIMITS.min_recording_s * rate_hz:
         return []
     width = rate_hz / count
@@ -48,7 +48,7 @@ def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> lis
     total = float(power[frequency >= LINE_LIMITS.min_frequency_hz].sum())
     if not total > 0:
         return []
-    # A line takes five bins of Hann's window. The noise is measured beyond its skirts, which take as many again.
+    # A line takes five bins of Hann's window. The noise is measured from half a hertz beyond these bins on.
     inner = 2 + math.ceil(LINE_LIMITS.max_same_hz / width)
     outer = inner + max(8, math.ceil(LINE_LIMITS.noise_band_hz / width))
     neighbours = 2 * (outer - inner)
@@ -82,9 +82,9 @@ def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> lis
 
 
 def lines_in_residual(acceleration: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the spectral lines in the residual of a recording (n,), with their fraction of the power of the recording.
+    """Return the spectral lines in the residual of a recording (n,), with their fractions of the recording's power.
 
-    Samples where `modelled` is NaN are not used.
+    Samples where `modelled` is NaN are not used. `needed` is that of `spectral_lines`.
     """
     left = np.where(np.isfinite(modelled), acceleration - modelled, 0.0)
     part = float(np.var(left) / np.var(acceleration)) if np.var(acceleration) > 0 else 0.0
@@ -123,7 +123,7 @@ def report_lines(
 
 
 def described(lines: Sequence[SpectralLine]) -> str:
-    """Return a sentence about one or more spectral lines."""
+    """Return a warning about one or more spectral lines, as text."""
     # Rounded to 0.1 Hz, as a bin is a fraction of a hertz wide.
     hertz = {line: f"{round(line.frequency_hz, 1):.10g} Hz" for line in lines}
     if len(lines) == 1:
