@@ -71,7 +71,7 @@ def test_intervals_of_a_resonance_hold_its_peak(own_hz: float, quality: float) -
 
 @pytest.mark.slow
 def test_strokes_that_differ_make_the_interval_wide() -> None:
-    """The interval is 0.8 to 3 times as wide as that of a bootstrap over the strokes, which is narrow for few strokes."""
+    """The interval is 0.8 to 3 times as wide as that of a bootstrap over the strokes, narrow for few strokes."""
     owns = (110.0, 135.0, 150.0, 165.0, 190.0)
     random = np.random.default_rng(1)
     low, high = bootstrapped([own * np.sqrt(1 - 1 / 18) for own in owns], random)
