@@ -205,7 +205,7 @@ class _FreeRinging:
     def __init__(
         self, acceleration: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode
     ) -> None:
-        """Take the samples `low` to `high` - 1 (intervals,) after each onset; `used` are the long enough intervals."""
+        """Take the samples `low` to `high` - 1 (intervals,) after each onset; `used` are those long enough."""
         min_samples = max(5, math.ceil(0.4 * rate_hz / mode.frequency_hz))
         self.used: Ints = np.flatnonzero(high - low >= min_samples)
         low, high, onset_s = low[self.used], high[self.used], onset_s[self.used]
@@ -622,7 +622,7 @@ def _spacing(fits: Sequence[StrokeFit]) -> Estimate:
 
 
 def _mean_mode(groups: Sequence[Group]) -> Mode:
-    """Return the mean mode of the groups of one stroke's strikes."""
+    """Return the mode with the mean decay time and the mean frequency of these groups."""
     return Mode(
         1 / float(np.mean([group.mode.decay_time_s for group in groups])),
         float(np.mean([group.mode.angular_frequency_rad_per_s for group in groups])),
@@ -749,7 +749,7 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
 
 
 def _refuse_others(fits: Sequence[StrokeFit]) -> None:
-    """Raise FitError if the recordings have different spacings or modes."""
+    """Raise FitError if the recordings differ in the spacing of the grooves or the frequency of the ringing."""
     spacings = np.array([abs(each.spacing_m) for each in fits])
     frequencies = np.array([each.mode.frequency_hz for each in fits])
     for values, max_difference, what, unit, scale in (

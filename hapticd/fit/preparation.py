@@ -393,8 +393,7 @@ def acceleration_of(recording: Recording) -> Floats:
         )
     if np.ptp(values) < PREPARATION_LIMITS.min_acceleration_span_m_per_s2:
         raise FitError(
-            f"{recording.name}: the acceleration changes by {np.ptp(values):.2g} m/s^2 only, which is not felt: wrong "
-            "unit?"
+            f"{recording.name}: the acceleration changes by {np.ptp(values):.2g} m/s^2, which is not felt: wrong unit?"
         )
     return values
 
@@ -408,7 +407,7 @@ def force_of(recording: Recording) -> Floats:
         raise FitError(f"{recording.name}: the force is 0 throughout: was the sensor connected?")
     highest = float(np.percentile(np.abs(values), 99.9))
     if highest < PREPARATION_LIMITS.min_force_n:
-        raise UnitError(f"{recording.name}: a force of {highest:.2g} N at most is too small to be felt: is it in kN?")
+        raise UnitError(f"{recording.name}: the largest force, {highest:.2g} N, is too small to be felt: is it in kN?")
     return values
 
 

@@ -142,7 +142,7 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
     except ValueError as error:
         raise RecordingError(shown, str(error)) from None
     except MemoryError:
-        raise RecordingError(shown, "not enough memory: cut it into several files") from None
+        raise RecordingError(shown, "not enough memory: cut the recording into several files") from None
     speed: float | Floats | None = even.get("speed")
     if isinstance(speed, np.ndarray) and speed.size == 1:
         speed = float(speed[0])
@@ -269,8 +269,8 @@ def _quantities(
         unit = column.unit if column.unit is not None else table.units.get(places[quantity], "")
         if unit and _spelt(unit) not in UNITS_OF[quantity]:
             raise ValueError(
-                f"unknown unit of {quantity} {shown_name(unit)}, known: {', '.join(UNITS_OF[quantity])}: name it in "
-                f"{where}"
+                f"unknown unit of {quantity} {shown_name(unit)}, known: {', '.join(UNITS_OF[quantity])}: set the "
+                f"unit in {where}"
             )
         factor = column.scale * (UNITS_OF[quantity][_spelt(unit)] if unit else 1.0)
         with np.errstate(all="ignore"):

@@ -795,7 +795,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """Frequency and decay time at several speeds: interpolated linearly, constant beyond the first and the last."""
+    """Frequency and decay time at several speeds: interpolated linearly, constant beyond the first and last speed."""
 
     speeds_m_per_s: tuple[float, ...]
     frequencies_hz: tuple[Estimate, ...]
@@ -1084,9 +1084,11 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
         )
     longest_s = max(len(tap.measured) / tap.rate_hz for tap in taps)
     # The fitted section has seven decay times, unless the recording or the next tap ends it.
-    if decay_time_s > TAP_LIMITS.max_decay_time * longest_s:
+    max_s = TAP_LIMITS.max_decay_time * longest_s
+    if decay_time_s > max_s:
         raise FitError(
-            f"the ringing does not decay: its decay time is {decay_time_s:.3g} s, but {longest_s:.3g} s were fitted"
+            f"the ringing does not decay: the decay time must be at most {max_s:.3g} s, is {decay_time_s:.3g} s, "
+            f"of {longest_s:.3g} s that were fitted"
         )
 
 

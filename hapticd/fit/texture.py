@@ -658,7 +658,7 @@ def _fitted(sections: Sequence[Recording], rate_hz: float, autoregressive: bool,
     peak = peak_of(blocks.frequency, shape, blocks.stroke)
     mean = jackknifed(blocks.centroid, shape, blocks.stroke)
     if rate_hz < PREPARATION_LIMITS.min_samples_per_cycle * mean.value:
-        raise FitError(f"the mean frequency is {mean.value:.4g} Hz, sampled at {rate_hz:g} Hz: the rate is too low")
+        raise FitError(f"the rate is too low: {rate_hz:g} Hz for a mean frequency of {mean.value:.4g} Hz")
     for place, recording in enumerate(recordings):
         here = blocks.stroke == place
         _refuse_two(recording.name, np.log(np.maximum(centroid[here], 1.0)), np.log(blocks.rms[here] / law[here]))

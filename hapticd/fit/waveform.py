@@ -587,7 +587,7 @@ def _alike(
         return pulses, shape, faded, explained
     if len(kept) < max(WAVEFORM_LIMITS.min_pulses, len(pulses) / 2):
         raise FitError(
-            f"{len(pulses) - len(kept)} of {len(pulses)} taps have another waveform than the others: is it one "
+            f"{len(pulses) - len(kept)} of {len(pulses)} taps have another waveform than the others: are all of one "
             "material, tapped in the same way?"
         )
     shape, faded = shape_of(kept)
