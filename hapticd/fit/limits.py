@@ -137,7 +137,7 @@ class SpectralLineLimits:
 
     min_frequency_hz: float = _limit(20.0, "Hz", "A slower vibration is a motion of the hand.")
     max_chance: float = _limit(1e-3, "probability", "Noise alone has a line in one of a thousand recordings.")
-    min_share: float = _limit(0.005, "fraction of the power", "A weaker line does not change the results.")
+    min_power_fraction: float = _limit(0.005, "fraction of the power", "A weaker line does not change the results.")
     max_same_hz: float = _limit(0.5, "Hz", "Nearer lines of two recordings are the same line.")
     noise_band_hz: float = _limit(8.0, "Hz", "The noise near a line is measured over this band on each side.")
     min_recording_s: float = _limit(0.5, "s", "A shorter recording does not separate a line from a ringing.")

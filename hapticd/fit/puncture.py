@@ -179,9 +179,9 @@ class _Puncture:
                 early, late = sorted((at, start + other))
                 places = f"{early / self._rate_hz:.4g} s and at {late / self._rate_hz:.4g} s"
                 raise FitError(f"{self._name}: ruptures at {places}: record each puncture in a separate file")
-        share = ringing.variance_accounted_for
-        if share < PUNCTURE_LIMITS.well_explained:
-            self.warnings.note(f"{self._name}: one mode explains {100 * share:.0f} % of the ringing")
+        fraction = ringing.variance_accounted_for
+        if fraction < PUNCTURE_LIMITS.well_explained:
+            self.warnings.note(f"{self._name}: one mode explains {100 * fraction:.0f} % of the ringing")
         return Rupture(
             recording=self._name,
             time_s=(at + 0.5) / self._rate_hz,
@@ -192,7 +192,7 @@ class _Puncture:
             amplitude_m_per_s2=abs(float(ringing.coefficients[0])),
             frequency_hz=float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi),
             decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
-            variance_accounted_for=share,
+            variance_accounted_for=fraction,
         )
 
     def _ringing(self) -> Ringing:

@@ -28,7 +28,7 @@ class SpectralLine:
     """A tone and its fraction of the power above LINE_LIMITS.min_frequency_hz."""
 
     frequency_hz: float
-    share: float
+    fraction: float
 
 
 def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
@@ -67,18 +67,18 @@ def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> lis
     for _ in range(10 * LINE_LIMITS.max_lines):
         place = int(np.argmax(left))
         here = slice(place - 2, place + 3)
-        if left[place] <= 0 or power[here].sum() < LINE_LIMITS.min_share * total:
+        if left[place] <= 0 or power[here].sum() < LINE_LIMITS.min_power_fraction * total:
             break
         about = np.concatenate((power[place - outer : place - inner], power[place + inner + 1 : place + outer + 1]))
         # Mean of an exponential distribution from its median, which other lines do not change.
         mean = float(np.median(about)) / math.log(2)
-        share = (float(power[here].sum()) - 5 * mean) / total
-        if power[place] > factor * mean and share > LINE_LIMITS.min_share:
+        fraction = (float(power[here].sum()) - 5 * mean) / total
+        if power[place] > factor * mean and fraction > LINE_LIMITS.min_power_fraction:
             near = slice(place - 1, place + 2)
             middle = float(power[near] @ frequency[near]) / float(power[near].sum())
-            found.append(SpectralLine(middle, share))
+            found.append(SpectralLine(middle, fraction))
         left[place - inner : place + inner + 1] = 0.0
-    return sorted(found, key=lambda line: -line.share)
+    return sorted(found, key=lambda line: -line.fraction)
 
 
 def lines_in_residual(acceleration: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
@@ -88,7 +88,7 @@ def lines_in_residual(acceleration: Floats, modelled: Floats, rate_hz: float, ne
     """
     left = np.where(np.isfinite(modelled), acceleration - modelled, 0.0)
     part = float(np.var(left) / np.var(acceleration)) if np.var(acceleration) > 0 else 0.0
-    return [SpectralLine(line.frequency_hz, part * line.share) for line in spectral_lines(left, rate_hz, needed)]
+    return [SpectralLine(line.frequency_hz, part * line.fraction) for line in spectral_lines(left, rate_hz, needed)]
 
 
 def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]]) -> list[SpectralLine]:
@@ -107,9 +107,9 @@ def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[Sp
         every = every[len(alike) :]
         if len({place for place, _ in alike}) < needed:
             continue
-        weight = sum(line.share for _, line in alike)
-        middle = sum(line.frequency_hz * line.share for _, line in alike) / weight
-        if weight / count > LINE_LIMITS.min_share:
+        weight = sum(line.fraction for _, line in alike)
+        middle = sum(line.frequency_hz * line.fraction for _, line in alike) / weight
+        if weight / count > LINE_LIMITS.min_power_fraction:
             found.append(SpectralLine(middle, weight / count))
     return found
 
@@ -127,11 +127,11 @@ def described(lines: Sequence[SpectralLine]) -> str:
     # Rounded to 0.1 Hz, as a bin is a fraction of a hertz wide.
     hertz = {line: f"{round(line.frequency_hz, 1):.10g} Hz" for line in lines}
     if len(lines) == 1:
-        what = f"a line at {hertz[lines[0]]} holds {100 * lines[0].share:.2g} % of the power"
+        what = f"a line at {hertz[lines[0]]} holds {100 * lines[0].fraction:.2g} % of the power"
     else:
-        loudest = sorted(lines, key=lambda line: -line.share)[: LINE_LIMITS.max_lines]
+        loudest = sorted(lines, key=lambda line: -line.fraction)[: LINE_LIMITS.max_lines]
         loudest.sort(key=lambda line: line.frequency_hz)
-        shares = ", ".join(f"{hertz[line]} {100 * line.share:.2g} %" for line in loudest)
+        fractions = ", ".join(f"{hertz[line]} {100 * line.fraction:.2g} %" for line in loudest)
         more = f" and {len(lines) - len(loudest)} more" if len(lines) > len(loudest) else ""
-        what = f"lines hold {100 * sum(line.share for line in lines):.2g} % of the power ({shares}{more})"
+        what = f"lines hold {100 * sum(line.fraction for line in lines):.2g} % of the power ({fractions}{more})"
     return f"{what}: hum or another tone, which changes the figures"

@@ -420,14 +420,14 @@ def _hit_of(loud: Events, index: int) -> TapHit:
     end = begin + len(ringing.residual)
     loud.check(begin, end)
     measured = loud.acceleration[begin:end]
-    share = ringing.variance_accounted_for
+    fraction = ringing.variance_accounted_for
     fault: Unusable | None
-    if share < TAP_LIMITS.min_explained:
+    if fraction < TAP_LIMITS.min_explained:
         needed = f"{100 * TAP_LIMITS.min_explained:.0f} % are needed"
-        fault = Unusable(f"a decaying sinusoid explains {100 * share:.0f} % of the variance, {needed}", "shape")
+        fault = Unusable(f"a decaying sinusoid explains {100 * fraction:.0f} % of the variance, {needed}", "shape")
     else:
         fault = _fault_of(rate_hz, event, ringing)
-    pair = pair_of(measured, rate_hz, ringing, sensor) if share < TAP_LIMITS.well_explained else None
+    pair = pair_of(measured, rate_hz, ringing, sensor) if fraction < TAP_LIMITS.well_explained else None
     if pair and (pair.variance_accounted_for < TAP_LIMITS.min_explained or _fault_of(rate_hz, event, pair) is not None):
         pair = None
     if fault is not None and pair is None:
@@ -609,9 +609,9 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
             return used, second
     for tap in taps:
         if not tap.alone:
-            share = 100 * tap.variance_accounted_for
+            percent = 100 * tap.variance_accounted_for
             reason = (
-                f"a decaying sinusoid explains {share:.0f} % of the variance, and other taps do not have its two modes"
+                f"a decaying sinusoid explains {percent:.0f} % of the variance, and the other taps have other modes"
             )
             excluded.add(tap.recording, reason, "tap", tap.onset_s)
     return [tap for tap in taps if tap.alone], None
@@ -1154,12 +1154,12 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
         left += float(residual @ residual) / noise
         samples += len(residual) - 6
     taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
-    share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
+    fraction = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
     chance = statistics.f_test_p(float(samples), samples, max(0.0, samples - taken), samples - size)
-    if share > TAP_LIMITS.min_pattern_rms and (
+    if fraction > TAP_LIMITS.min_pattern_rms and (
         chance < SPEED_LAW_LIMITS.significance or noisy > TAP_LIMITS.max_residual_to_noise
     ):
-        return f"the residuals have a pattern of {100 * share:.0f} % of the ringing"
+        return f"the residuals have a pattern of {100 * fraction:.0f} % of the ringing"
     if noisy > TAP_LIMITS.max_residual_to_noise and math.sqrt(left / heard) > TAP_LIMITS.min_pattern_rms:
         return f"the residuals are {noisy:.1f} times the noise before the taps"
     return ""

@@ -278,12 +278,12 @@ class Shape:
     def explained(self) -> tuple[Floats, Floats]:
         """Return the fractions (n,) of each pulse's variance, with and without noise, that the other pulses explain."""
         equations = self.equations
-        shares = []
+        fractions = []
         for index, (pulse, where) in enumerate(zip(self.pulses, self.fitted, strict=True)):
             _, other = _normalized(equations.solved(without=index), self.rate_hz)
             alone = _fit_pulse(other, pulse, where.onset_s, 2.0 / self.rate_hz)
-            shares.append([alone.explained(other, pulse, noise) for noise in (0.0, pulse.noise_m_per_s2)])
-        explains = np.array(shares)
+            fractions.append([alone.explained(other, pulse, noise) for noise in (0.0, pulse.noise_m_per_s2)])
+        explains = np.array(fractions)
         return explains[:, 0], explains[:, 1]
 
     def trimmed(self, rest: int) -> tuple[Shape, bool]:
@@ -509,12 +509,12 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
             onset_s=pulse.begin_s + fitted.onset_s,
             speed_m_per_s=pulse.speed_m_per_s,
             peak_m_per_s2=abs(fitted.amplitude),
-            variance_accounted_for=float(share),
+            variance_accounted_for=float(fraction),
             rate_hz=pulse.rate_hz,
             measured=pulse.measured,
             modelled=fitted.modelled(curve, pulse),
         )
-        for pulse, fitted, share in zip(pulses, shape.fitted, explained, strict=True)
+        for pulse, fitted, fraction in zip(pulses, shape.fitted, explained, strict=True)
     )
     speed_law.check_speeds(hits)
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
@@ -522,11 +522,11 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     line = through_origin(speeds, peaks, variances, speeds**2)
     slope = _widened(line.coefficients[0], of_amplitudes)
     speed_law.check_slope(slope)
-    share = float(np.median(explained))
+    fraction = float(np.median(explained))
     resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
     law = speed_law.law_of(speeds, peaks, variances)
     warnings = Warnings()
-    warnings.check("variance that a waveform explains", share)
+    warnings.check("variance that a waveform explains", fraction)
     if faded:
         reason = f"the pulses have not ended after {1e3 * curve.length_s:.3g} ms"
         percent = 100 * WAVEFORM_LIMITS.fade_out_fraction
@@ -547,10 +547,10 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
         length_s=curve.length_s,
         samples_a_period=resolved,
         r_squared=line.r_squared,
-        variance_accounted_for=share,
+        variance_accounted_for=fraction,
         warnings=tuple(lines + warnings.lines),
         judged=warnings.verdict(
-            f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
+            f"a waveform explains {100 * fraction:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {r_squared:.3f})",
         ),
         left_out=tuple(excluded.items),
@@ -574,9 +574,9 @@ def _alike(
     explained, without_noise = shape.explained()
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.fitted])))
     kept = []
-    for pulse, fitted, share in zip(pulses, shape.fitted, without_noise, strict=True):
-        if share < WAVEFORM_LIMITS.min_explained:
-            reason = f"the waveform of the others explains {100 * share:.0f} % of the variance"
+    for pulse, fitted, fraction in zip(pulses, shape.fitted, without_noise, strict=True):
+        if fraction < WAVEFORM_LIMITS.min_explained:
+            reason = f"the waveform of the others explains {100 * fraction:.0f} % of the variance"
         elif fitted.amplitude * usual <= 0:
             reason = "pushes with the opposite sign"
         else:

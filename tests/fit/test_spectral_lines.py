@@ -22,17 +22,17 @@ def noise(seconds: float, seed: int) -> Floats:
     return np.asarray(found / found.std())
 
 
-def tone(seconds: float, hz: float, share: float) -> Floats:
+def tone(seconds: float, hz: float, fraction: float) -> Floats:
     """Return a tone with this fraction of the power of noise and tone together."""
     time_s = np.arange(round(seconds * RATE)) / RATE
-    return np.asarray(np.sqrt(2 * share / (1 - share)) * np.sin(2 * np.pi * hz * time_s + 1))
+    return np.asarray(np.sqrt(2 * fraction / (1 - fraction)) * np.sin(2 * np.pi * hz * time_s + 1))
 
 
 @pytest.mark.parametrize("hz", [50.0, 133.3, 200.0, 317.9, 611.0])
-def test_a_line_is_found_at_any_frequency_with_its_share(hz: float) -> None:
+def test_a_line_is_found_at_any_frequency_with_its_power(hz: float) -> None:
     (line,) = spectral_lines(noise(8.0, 1) + tone(8.0, hz, 0.04), RATE)
     assert line.frequency_hz == pytest.approx(hz, abs=0.1)
-    assert line.share == pytest.approx(0.04, rel=0.25)
+    assert line.fraction == pytest.approx(0.04, rel=0.25)
 
 
 @pytest.mark.long
@@ -70,13 +70,13 @@ def test_lines_that_most_recordings_have_are_reported_together() -> None:
     assert float(text.split("lines hold ")[1].split(" %")[0]) == pytest.approx(100 * 3 * 0.0526 / 1.158, rel=0.25)
 
 
-def test_the_share_is_of_everything_that_was_recorded() -> None:
+def test_the_fraction_is_of_the_recorded_power() -> None:
     """The fraction is that of the recorded power, of which the model explains nine tenths."""
     hum = tone(4.0, 120.0, 0.2)
     loud = 3.0 * noise(4.0, 2)
     (line,) = lines_in_residual(hum + loud + noise(4.0, 4), loud, RATE)
     assert line.frequency_hz == pytest.approx(120, abs=0.05)
-    assert line.share == pytest.approx(0.25 / (9 + 1 + 0.25), rel=0.15)
+    assert line.fraction == pytest.approx(0.25 / (9 + 1 + 0.25), rel=0.15)
 
 
 def test_hum_between_taps_is_reported() -> None:
