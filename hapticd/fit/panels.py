@@ -160,9 +160,9 @@ def _ringing(fit: TapFit) -> Row:
 
     def less(curve: Curve) -> Curve:
         """Return the curve of amplitudes minus the fitted line through the origin."""
-        there = fit.slope_per_s.value * curve.x
-        low, high = (None if end is None else end - there for end in (curve.low, curve.high))
-        return dataclasses.replace(curve, y=curve.y - there, low=low, high=high)
+        line = fit.slope_per_s.value * curve.x
+        low, high = (None if end is None else end - line for end in (curve.low, curve.high))
+        return dataclasses.replace(curve, y=curve.y - line, low=low, high=high)
 
     return (
         dataclasses.replace(lines, curves=curves),
@@ -266,10 +266,10 @@ def _power(recording: Recording, texture: Stochastic | Autoregressive) -> Row:
     unit[unit == 0] = np.nan  # an autoregressive model has no density beyond half its rate
     modelled = level_of(texture, np.array([speed]), np.array([force_n])) ** 2 * unit
     decibels = 10 * np.log10(np.maximum(recorded, 1e-300) / np.maximum(modelled, 1e-300))
-    heard = modelled > 1e-3 * np.nanmax(modelled)
+    loud = modelled > 1e-3 * np.nanmax(modelled)
     name = f"{os.path.basename(recording.name)}, {speed:.3g} m/s, {force_n:.3g} N"
     spectra = (Curve("recording", frequency, recorded), Curve("model", frequency, modelled))
-    ratio = (Curve("recording over model", frequency[heard], decibels[heard]),)
+    ratio = (Curve("recording over model", frequency[loud], decibels[loud]),)
     return (
         Panel(name, "Hz", DENSITY_UNIT, spectra, logarithmic=True),
         Panel("recording over model, at loud frequencies", "Hz", "dB", ratio),
@@ -322,14 +322,14 @@ def _puncture(fit: PunctureFit, recordings: Sequence[Recording]) -> Iterator[Row
         )
         first = max(0, at - round(mode.decay_time_s * rate_hz))
         last = min(len(acceleration), at + round(5 * mode.decay_time_s * rate_hz))
-        heard = acceleration[first:last] - np.median(acceleration[:at])
+        measured = acceleration[first:last] - np.median(acceleration[:at])
         since = np.arange(first, last) / rate_hz - struck_s
         later = np.maximum(since, 0.0)
         ringing = np.exp(-mode.decay_rate_per_s * later) * np.sin(mode.angular_frequency_rad_per_s * later)
         # The accelerometer may be mounted with either sign.
-        turned = 1.0 if float(heard @ ringing) >= 0 else -1.0
+        turned = 1.0 if float(measured @ ringing) >= 0 else -1.0
         spring = Panel(os.path.basename(recording.name), "deflection, mm", "N", forces)
-        yield (spring, *overlay("ringing", rate_hz, heard, turned * rupture.amplitude_m_per_s2 * ringing))
+        yield (spring, *overlay("ringing", rate_hz, measured, turned * rupture.amplitude_m_per_s2 * ringing))
 
 
 def _material(fit: Fit) -> Material:

@@ -356,14 +356,14 @@ def complete_sections(recording: Recording, min_s: float, excluded: Exclusions) 
     if not bad.any():
         return [recording]
     kept = [(begin, end) for begin, end in spans_of(~bad) if end - begin >= min_s * rate_hz]
-    there = sum(end - begin for begin, end in kept)
+    usable = sum(end - begin for begin, end in kept)
     reason = ", ".join(reasons)
-    if there < PREPARATION_LIMITS.min_complete_fraction * samples:
+    if usable < PREPARATION_LIMITS.min_complete_fraction * samples:
         raise FitError(
-            f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is in complete sections of {min_s:g} "
-            f"s, {100 * PREPARATION_LIMITS.min_complete_fraction:.0f} % are needed"
+            f"{recording.name}: {reason}: {100 * usable / samples:.0f} % of the samples are in complete sections of "
+            f"{min_s:g} s, {100 * PREPARATION_LIMITS.min_complete_fraction:.0f} % are needed"
         )
-    excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
+    excluded.add(recording.name, f"{(samples - usable) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
     found = []
     for begin, end in kept:
         parts = {name: values[begin:end] for name, values in columns.items() if len(values) == samples}

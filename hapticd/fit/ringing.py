@@ -183,8 +183,8 @@ class _Search:
         modes = len(responses)
         columns = np.empty((len(self._measured), modes + 2))
         columns[:first, :modes] = 0.0
-        for mode, (heard, _, _) in enumerate(responses):
-            columns[first:, mode] = heard.imag
+        for mode, (response, _, _) in enumerate(responses):
+            columns[first:, mode] = response.imag
         columns[:, modes:] = self._line
         norms = np.sqrt(np.sum(columns**2, axis=0))
         if not (norms > 0).all():
@@ -290,7 +290,7 @@ class _Search:
             self._time_s <= point[-1] + RINGING_LIMITS.judged_decay_times / decay.min()
         )
         above = self._measured[rings] - columns[rings][:, modes:] @ coefficients[modes:]
-        heard = float(above @ above)
+        energy = float(above @ above)
         return Ringing(
             coefficients=coefficients[by_energy],
             decay_rate_per_s=decay[by_energy],
@@ -298,14 +298,14 @@ class _Search:
             onset_s=float(point[-1]),
             covariance=spread[np.ix_(order, order)],
             residual=left,
-            variance_accounted_for=1.0 - float(left[rings] @ left[rings]) / heard if heard > 0 else 0.0,
+            variance_accounted_for=1.0 - float(left[rings] @ left[rings]) / energy if energy > 0 else 0.0,
             noise_m_per_s2=noise,
             lack_of_fit=self._lack_of_fit(point, float(coefficients[0]), jacobian / norms, left)
             if modes == 1
             else (np.empty(0), np.empty((0, 0))),
         )
 
-    def _lack_of_fit(self, point: Floats, coefficient: float, taken: Floats, left: Floats) -> tuple[Floats, Floats]:
+    def _lack_of_fit(self, point: Floats, coefficient: float, jacobian: Floats, left: Floats) -> tuple[Floats, Floats]:
         since = np.maximum(self._time_s - point[-1], 0.0)
         begun = self._time_s >= point[-1]
         decay, angular = math.exp(point[0]), math.exp(point[1])
@@ -314,6 +314,6 @@ class _Search:
             wave = coefficient * begun * np.exp((-slower * decay + 1j * faster * angular) * since)
             shapes += [wave.real, wave.imag] if faster else [wave.real]
         columns = np.column_stack(shapes)
-        base = np.linalg.qr(taken)[0]
+        base = np.linalg.qr(jacobian)[0]
         columns -= base @ (base.T @ columns)
         return columns.T @ left, columns.T @ columns

@@ -67,10 +67,10 @@ class Stylus:
     def ringing(self, mode: Mode, time_s: Floats) -> Floats:
         """Return the sensor's response (n,) at times (n,) to a mode exp(-B t) sin(w t) that begins at t = 0."""
         pole = complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
-        heard = np.zeros(len(time_s))
+        response = np.zeros(len(time_s))
         after = time_s > 0
-        heard[after] = self.sensor.response(pole, time_s[after])[0].imag
-        return heard
+        response[after] = self.sensor.response(pole, time_s[after])[0].imag
+        return response
 
     def recorded(self, clean: Floats, random: np.random.Generator) -> Floats:
         """Return the `clean` acceleration (n,) with offset, drift, tremor, noise and clipping."""

@@ -1144,23 +1144,23 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
     """
     noisy = float(np.median([tap.residual_to_noise for tap in taps]))
     size = len(taps[0].ringing.lack_of_fit[0])
-    score, squares, heard, left, samples = np.zeros(size), np.zeros((size, size)), 0.0, 0.0, 0
+    score, squares, energy, left, samples = np.zeros(size), np.zeros((size, size)), 0.0, 0.0, 0
     for tap in taps:
         noise, residual = tap.noise_m_per_s2**2, tap.ringing.residual
         score += tap.ringing.lack_of_fit[0] / noise
         squares += tap.ringing.lack_of_fit[1] / noise
         modelled = tap.modelled - np.median(tap.modelled)
-        heard += float(modelled @ modelled) / noise
+        energy += float(modelled @ modelled) / noise
         left += float(residual @ residual) / noise
         samples += len(residual) - 6
-    taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
-    fraction = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
-    chance = statistics.f_test_p(float(samples), samples, max(0.0, samples - taken), samples - size)
+    explained = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
+    fraction = math.sqrt(max(0.0, explained) / energy) if energy > 0 else 0.0
+    chance = statistics.f_test_p(float(samples), samples, max(0.0, samples - explained), samples - size)
     if fraction > TAP_LIMITS.min_pattern_rms and (
         chance < SPEED_LAW_LIMITS.significance or noisy > TAP_LIMITS.max_residual_to_noise
     ):
         return f"the residuals have a pattern of {100 * fraction:.0f} % of the ringing"
-    if noisy > TAP_LIMITS.max_residual_to_noise and math.sqrt(left / heard) > TAP_LIMITS.min_pattern_rms:
+    if noisy > TAP_LIMITS.max_residual_to_noise and math.sqrt(left / energy) > TAP_LIMITS.min_pattern_rms:
         return f"the residuals are {noisy:.1f} times the noise before the taps"
     return ""
 

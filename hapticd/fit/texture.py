@@ -120,8 +120,8 @@ def _without_sensor_noise(name: str, frequency: Floats, density: Floats, rate_hz
     """
     noise_band = (frequency > 0.4 * rate_hz) & (frequency < 0.49 * rate_hz)
     floor = float(np.mean(density[:, noise_band]))
-    heard = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & ~noise_band
-    if floor > TEXTURE_LIMITS.max_floor * float(density[:, heard].mean(axis=0).max(initial=0.0)):
+    signal_band = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & ~noise_band
+    if floor > TEXTURE_LIMITS.max_floor * float(density[:, signal_band].mean(axis=0).max(initial=0.0)):
         raise FitError(
             f"{name}: the spectrum does not end below half the rate of {rate_hz:g} Hz, or it is the sensor's noise "
             "alone: record at a higher rate, or with less noise"
@@ -160,17 +160,17 @@ def _unusable_blocks(stroke: Stroke, block: int, warnings: Warnings) -> set[int]
 
 def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
     """Raise FitError if most of the power is motion of the hand, or in tones; `density` is (frequencies,)."""
-    low, heard = frequency < TEXTURE_LIMITS.min_frequency_hz, frequency >= TEXTURE_LIMITS.min_frequency_hz
-    lowest = float(frequency[heard][np.argmax(smoothed(density, 2)[heard])])
-    if density[low].sum() > density[heard].sum() and lowest < 2 * TEXTURE_LIMITS.min_frequency_hz:
+    below, above = frequency < TEXTURE_LIMITS.min_frequency_hz, frequency >= TEXTURE_LIMITS.min_frequency_hz
+    loudest_hz = float(frequency[above][np.argmax(smoothed(density, 2)[above])])
+    if density[below].sum() > density[above].sum() and loudest_hz < 2 * TEXTURE_LIMITS.min_frequency_hz:
         raise FitError(
             f"{name}: most of the power is below {TEXTURE_LIMITS.min_frequency_hz:g} Hz, and the spectrum falls above: "
             "motion of a hand, not a texture"
         )
-    loudest = np.sort(density[heard])[-3:]
-    if loudest.sum() > TEXTURE_LIMITS.max_tone_power * density[heard].sum():
+    loudest = np.sort(density[above])[-3:]
+    if loudest.sum() > TEXTURE_LIMITS.max_tone_power * density[above].sum():
         raise FitError(
-            f"{name}: a tone at {frequency[heard][np.argmax(density[heard])]:.4g} Hz holds most of the power: hum or a "
+            f"{name}: a tone at {frequency[above][np.argmax(density[above])]:.4g} Hz holds most of the power: hum or a "
             "ringing, not a texture"
         )
 
@@ -247,8 +247,8 @@ class _Blocks:
         power = density.sum(axis=1) * frequency[1]
         rough = (density / power[:, None]).mean(axis=0)
         top, tail = _top_of(frequency, rough, float(np.mean([each.floor for each in cut]) / np.median(power)))
-        heard = frequency <= top
-        frequency, density = frequency[heard], density[:, heard]
+        kept = frequency <= top
+        frequency, density = frequency[kept], density[:, kept]
         power = density.sum(axis=1) * frequency[1]
         if power.min() <= 0:
             name = strokes[stroke[int(np.argmin(power))]].recording.name

@@ -139,8 +139,8 @@ class FittedPulse:
         above = pulse.measured[here] - self.offset
         left = pulse.measured[here] - self.modelled(shape, pulse)[here]
         noise = noise_m_per_s2**2 * len(left)
-        heard = float(above @ above) - noise
-        return min(1.0, 1.0 - (float(left @ left) - noise) / heard) if heard > 0 else 0.0
+        energy = float(above @ above) - noise
+        return min(1.0, 1.0 - (float(left @ left) - noise) / energy) if energy > 0 else 0.0
 
 
 class Equations:
@@ -598,8 +598,8 @@ def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:
     """Return the variances (n,) of the pulses' amplitudes, (m/s^2)^2, from the residuals."""
     found = []
     for pulse, fitted in zip(pulses, shape.fitted, strict=True):
-        heard = shape.curve.at(pulse.since_s - fitted.onset_s)
-        own = float(heard @ heard)
-        noise = max(fitted.squares, 1e-18 * fitted.amplitude**2) / max(1, len(heard) - 3)
+        curve = shape.curve.at(pulse.since_s - fitted.onset_s)
+        own = float(curve @ curve)
+        noise = max(fitted.squares, 1e-18 * fitted.amplitude**2) / max(1, len(curve) - 3)
         found.append(noise / max(own, 1e-12))
     return np.array(found)

@@ -259,7 +259,7 @@ def test_complete_sections_are_between_gaps_and_clipped_samples() -> None:
     (message,) = excluded.items
     assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in message.reason
     assert "0.214 of 10 s" in message.reason
-    with pytest.raises(FitError, match=r"0 % of it is in complete sections of 5 s, 50 % are needed"):
+    with pytest.raises(FitError, match=r"0 % of the samples are in complete sections of 5 s, 50 % are needed"):
         complete_sections(recording, 5.0, Exclusions())
 
 
