@@ -202,7 +202,7 @@ def test_what_is_left_out_is_drawn_with_its_reason() -> None:
     hit.recording, hit.onset_s = "folder/a", 0.25
     parts = {**STRAIGHT, "taps": [hit]}
     left = (
-        Exclusion("folder/a", "it is clipped", "tap", 0.5),
+        Exclusion("folder/a", "clipped", "tap", 0.5),
         Exclusion("b", "no onset"),
         Exclusion("c", "cannot be read"),
     )
@@ -211,7 +211,7 @@ def test_what_is_left_out_is_drawn_with_its_reason() -> None:
     marked, (tap, whole) = page.rows[-2:]
     assert curves(marked[0])["fitted"][0].tolist() == [0.25] and curves(marked[0])["left out"][0].tolist() == [0.5]
     assert marked[0].curves[2].crossed and curves(marked[0])["left out"][1][0] > seen.max()
-    assert (tap.title, whole.title) == ("a left out: it is clipped", "b left out: no onset")
+    assert (tap.title, whole.title) == ("a left out: clipped", "b left out: no onset")
     x, y = curves(tap)["recording"]
     assert x[0] == pytest.approx(490) and x[-1] == pytest.approx(560) and y[0] == seen[12_250]
     assert len(curves(whole)["recording"][0]) == 50
