@@ -29,7 +29,7 @@ class Contribution:
     figures: Mapping[str, object]
     """Keys of the material with their fitted values."""
     origin: Mapping[str, object]
-    """Value of the material's key `provenance`, without its date."""
+    """Value of the material's key `provenance`, without the date."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +44,14 @@ class Added:
 
 
 def contribution_of(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> Contribution:
-    """Return the contribution of a fit of these recordings."""
+    """Return the contribution of a fit, of these recordings, to a material."""
     return Contribution(kind, _rounded(fitted.figures), _provenance(kind, fitted, recordings))
 
 
 def added(
     contribution: Contribution, name: str, day: datetime.date, *, onto: Material | None, stiffness_n_per_m: float | None
 ) -> Added:
-    """Return the material `onto`, or a new one if it is None, with this name and the contribution.
+    """Return the material `onto`, or a new material if `onto` is None, with this name and the contribution.
 
     `stiffness_n_per_m` is used if the fit does not determine the stiffness; None means the stiffness of `onto`, or
     STIFFNESS_N_PER_M for a new material. Raises InvalidError if a value is out of the range of a material.
@@ -80,7 +80,7 @@ def added(
 
 
 def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> dict[str, object]:
-    """Return the provenance of a material, without its date.
+    """Return the provenance of a fitted material, without the date.
 
     Intervals that are infinite, or whose name is in `fitted.without`, are left out.
     """
@@ -104,7 +104,7 @@ def _provenance(kind: Kind, fitted: Fitted, recordings: Sequence[Recording]) -> 
 
 
 def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[str, object]:
-    """Merge two provenances: all files, and the intervals of all values that the material still has."""
+    """Return the provenance `before` merged with `origin`, that of a new fit, without entries of replaced fits."""
     if not isinstance(before, Mapping):
         return dict(origin)
     replaced = [other for other, key in MATERIAL_KEYS.items() if key == MATERIAL_KEYS[kind]]
@@ -120,7 +120,7 @@ def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[st
 
 
 def _rounded(value: Any) -> Any:
-    """Return a value rounded to 7 digits, the resolution of recordings; coefficients of filters are not rounded."""
+    """Return plain data with floats rounded to 7 digits, the resolution of recordings, except filter coefficients."""
     if isinstance(value, float):
         return float(f"{value:.7g}")
     if isinstance(value, Mapping):

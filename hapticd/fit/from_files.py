@@ -33,7 +33,7 @@ Step: TypeAlias = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A fit, and the material's keys that it determines."""
+    """A fit, and the keys of a material that the fit determines."""
 
     fit: Fit
     figures: Mapping[str, object]
@@ -46,7 +46,7 @@ class Fitted:
 def fitted_files(
     files: Sequence[str], kind: Kind, options: FitOptions, step: Step, strict: bool, folder: str = ""
 ) -> tuple[list[Recording], list[Recording], Fitted]:
-    """Return the recordings that were used, those that were left out, and the fit.
+    """Fit recording files; return the recordings that were used, those that were left out, and the fit.
 
     `files` are paths relative to `folder`, and become the names of the recordings.
     """
@@ -76,11 +76,11 @@ def fitted_files(
 def materials_of(path: str) -> dict[str, Material]:
     """Return the materials of an existing file, to which more will be added.
 
-    Raises InvalidError, or HapticdError if it has other keys than `materials`.
+    Raises InvalidError, or HapticdError if the file has other keys than `materials`.
     """
     data = load_path(path).data
     if not isinstance(data, dict) or list(data) != ["materials"]:
-        raise HapticdError(f"{printable(path)}: must have the key materials only, because materials are added to it")
+        raise HapticdError(f"{printable(path)}: must have the key materials only: materials are added to the file")
     found = load_config(path).materials
     given = data["materials"]
     assert isinstance(given, dict)
@@ -152,7 +152,7 @@ def fit_taps(
 ) -> TapFit | WaveformFit:
     """Fit the taps of one material by modes or by a waveform; `progress` and `excluded` are those of fit_tap.
 
-    Raises FitError (one line) if the recordings support neither fit; the error is then that of the fit by modes.
+    Raises FitError (one line), that of the fit by modes, if the recordings support neither fit.
     """
     require_scipy()
     refuse_duplicates(recordings)
@@ -181,7 +181,7 @@ def fit_taps(
 def _better_waveform(
     ringing: TapFit | FitError, recordings: Sequence[Recording], excluded: Exclusions
 ) -> WaveformFit | None:
-    """Return the fit of a waveform if it explains the taps better than the modes do, else None.
+    """Return the fit of a waveform if it explains the taps better than `ringing`, the fit by modes, else None.
 
     The modes are kept if they ring, that is, fall to 1/e in 0.3 of a period or later, and explain 95 % of the taps'
     variance (the median; a tap that was left out counts as 0). Otherwise the waveform is taken if its residual has less
@@ -208,4 +208,4 @@ def _better_waveform(
         found = fit_waveform(pulses, warnings, excluded)
     except FitError:
         return None
-    return found if 1 - found.variance_accounted_for < WAVEFORM_LIMITS.max_left_ratio * (1 - by_mode) else None
+    return found if 1 - found.variance_accounted_for < WAVEFORM_LIMITS.max_residual_ratio * (1 - by_mode) else None

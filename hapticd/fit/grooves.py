@@ -4,13 +4,13 @@ Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environment
 the stylus passes strikes a mode with the amplitude A(v, F) = velocity_gain |v| + force_gain F.
 
 Between two strikes the acceleration is one free ringing, Im(z exp(p t)) with p = -B + i w, plus a drift. For given B
-and w, z and the drift of each interval are a linear fit; B and w minimise its residual (variable projection). A
-strike is the step in z from the decayed ringing before it to the ringing after it: z' - z exp(p dt) = A exp(-p d). Its
-magnitude gives A. Its phase -w d gives the delay d of the strike after its assumed time. Onsets are first found as
-steps of z between two windows, before and after each sample.
+and w, z and the drift of each interval are a linear fit; B and w minimise the residual (variable projection). A strike
+is a step in z, from the decayed ringing before to the ringing after the strike: z' - z exp(p dt) = A exp(-p d). The
+magnitude of the step gives A. The phase -w d gives the delay d of the strike after its assumed time. Onsets are first
+found as steps of z between two windows, before and after each sample.
 
-Frequency and decay are fitted to groups of strikes. Their scatter between groups gives the intervals, and shows whether
-they change with speed or force. The gains are an M-estimate, which a few outliers do not influence.
+Frequency and decay are fitted to groups of strikes. The scatter between groups gives the intervals, and shows whether
+frequency and decay change with speed or force. The gains are an M-estimate, on which a few outliers have no influence.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Complexes: TypeAlias = npt.NDArray[np.complex128]
 
 
 def _loudest_frequency(acceleration: Floats, rate_hz: float) -> float:
-    """Return the frequency above 20 Hz at which the mean spectrum of windows of 40 ms is largest."""
+    """Return the frequency, Hz, above 20 Hz, at which the mean spectrum of windows of 40 ms is highest."""
     from scipy.signal import welch
 
     length = min(len(acceleration), max(64, round(0.04 * rate_hz)))
@@ -54,7 +54,7 @@ def _loudest_frequency(acceleration: Floats, rate_hz: float) -> float:
 
 
 def _ringing_steps(acceleration: Floats, rate_hz: float, mode: Mode) -> Complexes:
-    """Return the step of the ringing's complex amplitude z at each sample (n,): z after the sample less z before."""
+    """Return the steps (n,) of the ringing's complex amplitude z at all samples: z after a sample minus z before."""
     from scipy.signal import fftconvolve
 
     length = max(6, round(GROOVE_LIMITS.window_cycles * rate_hz / mode.frequency_hz))
@@ -77,7 +77,7 @@ def _pole(mode: Mode) -> complex:
 
 
 def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
-    """Return the acceleration of a strike of amplitude 1 at the middle sample."""
+    """Return the acceleration (n,) of a strike of amplitude 1 that begins at the middle sample."""
     half = math.ceil(max(6 * mode.decay_time_s, 4 * GROOVE_LIMITS.window_cycles / mode.frequency_hz) * rate_hz)
     time = np.arange(-half, half + 1) / rate_hz
     ring = np.exp(-mode.decay_rate_per_s * np.maximum(time, 0.0)) * np.sin(mode.angular_frequency_rad_per_s * time)
@@ -85,10 +85,10 @@ def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
 
 
 def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
-    """Return the sorted sample indices of the strikes: each is found and subtracted in turn, the largest first.
+    """Return the sorted sample indices of the strikes, which are found and subtracted in turn, the largest first.
 
-    `step` is the step of the ringing's complex amplitude at each sample, `unit` that of a strike of amplitude 1. The
-    distance of two strikes exceeds `reach` samples.
+    `step` (n,) are the steps of the ringing's amplitude, `unit` those of a strike of amplitude 1, `noise` is the noise
+    of `step`. The distance of two strikes exceeds `reach` samples.
     """
     left = step.copy()
     middle = len(unit) // 2
@@ -103,27 +103,30 @@ def _pick_strikes(step: Floats, unit: Floats, noise: float, reach: int) -> Ints:
         size = float(left[k]) / float(unit[middle])
         # One or two knocks must not hide strikes.
         usual = strong() if len(sizes) >= GROOVE_LIMITS.min_strikes else 0.0
-        if abs(size) <= max(GROOVE_LIMITS.min_strike * usual, min(4 * noise, 0.5 * usual)):
+        if abs(size) <= max(GROOVE_LIMITS.min_strike_size * usual, min(4 * noise, 0.5 * usual)):
             break
         low, high = max(0, k - middle), min(len(left), k + middle + 1)
         left[low:high] -= size * unit[low - k + middle : high - k + middle]
         # The remainder near a strike is due to errors of its time and of the mode.
         free[max(0, k - reach) : k + reach + 1] = False
         sizes[k] = size
-    least = GROOVE_LIMITS.min_strike * strong()
-    return np.array(sorted(k for k, size in sizes.items() if abs(size) > least), dtype=np.int64)
+    weak = GROOVE_LIMITS.min_strike_size * strong()
+    return np.array(sorted(k for k, size in sizes.items() if abs(size) > weak), dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A regular row of grooves: strike k is near the position `first_m + number[k] * spacing_m`; `number` is (n,)."""
+    """A regular row of grooves with the number (n,) of each strike's groove.
+
+    Strike k is near the position `first_m + number[k] * spacing_m`.
+    """
 
     number: Ints
     spacing_m: float
     first_m: float
 
     def offsets(self, position: Floats) -> Floats:
-        """Return signed distances (n,) of strikes at `position` from their grooves, as fractions of the spacing."""
+        """Return the signed distances (n,) of strikes at `position` from their grooves, as fractions of the spacing."""
         return np.asarray(position - self.first_m - self.number * self.spacing_m) / self.spacing_m
 
     def unevenness(self, position: Floats) -> float:
@@ -132,10 +135,10 @@ class Row:
 
 
 def row_of(position: Floats) -> Row:
-    """Return the row of strikes at `position` (n,), in m.
+    """Return the row of grooves that strikes at `position` (n,), in m, have struck.
 
-    Grooves are numbered by position, or by the distances of successive strikes if that makes the row more regular, as
-    it does for a position that drifts.
+    Grooves are numbered by position, or by the distances of successive strikes if the row is then more regular, as it
+    is for a position that drifts.
     """
     steps = np.abs(np.diff(position))
     steps = steps[steps > 0]
@@ -146,14 +149,14 @@ def row_of(position: Floats) -> Row:
 
 
 def _slope_of_row(number: Ints, position: Floats) -> float:
-    """Return the spacing of the grooves by least squares; it is negative if the positions fall as the numbers rise."""
+    """Return the spacing of the grooves, by least squares; negative if the positions fall as the numbers rise."""
     centred = number - number.mean()
     square = float(centred @ centred)
     return float(centred @ position) / square if square > 0 else 0.0
 
 
 def _by_step(position: Floats, spacing: float) -> Row:
-    """Return the row with its grooves numbered by the distances between successive strikes."""
+    """Return the row of strikes at `position` (n,), its grooves numbered by the distances of successive strikes."""
     number = np.zeros(len(position), dtype=np.int64)
     for _ in range(4):
         number = np.concatenate(([0], np.cumsum(np.round(np.diff(position) / spacing).astype(np.int64))))
@@ -162,10 +165,10 @@ def _by_step(position: Floats, spacing: float) -> Row:
 
 
 def _by_position(position: Floats, usual: float) -> Row:
-    """Return the row with its grooves numbered by position.
+    """Return the row of strikes at `position` (n,), its grooves numbered by position.
 
-    The spacing is 0.5 to 2.5 times the `usual` distance of strikes, where the strikes' phases agree best. The phases
-    agree as well at half the true spacing, so the largest such spacing is taken.
+    At the spacing, 0.5 to 2.5 times the `usual` distance of strikes, the strikes' phases agree best. They agree as well
+    at half the true spacing, so the widest of equally good spacings is taken.
     """
     few = position[:300]
     waves = np.arange(0.4 / usual, 2.0 / usual, 0.2 / max(float(np.ptp(few)), usual))
@@ -195,16 +198,16 @@ def _by_position(position: Floats, usual: float) -> Row:
 class _FreeRinging:
     """Intervals of free ringing, fitted in parallel: arrays (intervals, samples), 0 beyond the end of an interval.
 
-    Each interval is Im(z exp((-B + i w) t)) plus a drift (level and slope), with the complex amplitude z, decay rate B
-    and angular frequency w. For given B and w, z and drift of each interval are a separate linear fit.
+    An interval is modelled by Im(z exp((-B + i w) t)) plus a drift (level and slope), with complex amplitude z, decay
+    rate B and angular frequency w. For given B and w, z and drift of each interval are a separate linear fit.
     """
 
     def __init__(
         self, acceleration: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode
     ) -> None:
-        """Take the samples `low` to `high` - 1 after these onsets; `used` are the intervals that are long enough."""
-        least = max(5, math.ceil(0.4 * rate_hz / mode.frequency_hz))
-        self.used: Ints = np.flatnonzero(high - low >= least)
+        """Take the samples `low` to `high` - 1 (intervals,) after each onset; `used` are those long enough."""
+        min_samples = max(5, math.ceil(0.4 * rate_hz / mode.frequency_hz))
+        self.used: Ints = np.flatnonzero(high - low >= min_samples)
         low, high, onset_s = low[self.used], high[self.used], onset_s[self.used]
         count = high - low
         steps = np.arange(int(count.max(initial=0)))
@@ -227,7 +230,7 @@ class _FreeRinging:
         return values
 
     def solved(self, mode: Mode) -> tuple[Complexes, Floats]:
-        """Return the complex amplitude of the ringing at each onset, and the residual (intervals, samples)."""
+        """Return the ringing's complex amplitude (intervals,) at the onsets, and the residual (intervals, samples)."""
         pole = _pole(mode)
         turned = np.exp(pole * self._first_s)[:, None] * np.exp(pole * self._since_s) * self.held
         sine, cosine = self._less_drift(turned.imag), self._less_drift(turned.real)
@@ -246,7 +249,7 @@ def _products(one: Floats, other: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Strike:
-    """One passed groove: time, position, speed, force, and amplitude of its ringing."""
+    """One passed groove: time, position, speed, force, and amplitude of the ringing that it struck."""
 
     recording: str
     time_s: float
@@ -258,7 +261,7 @@ class Strike:
 
 @dataclass(frozen=True, slots=True)
 class ModelledStroke:
-    """One fitted recording, with the acceleration of the model."""
+    """A fitted recording of a stroke, with the acceleration of the model."""
 
     name: str
     rate_hz: float
@@ -271,7 +274,7 @@ class ModelledStroke:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The mode fitted to consecutive intervals, and their mean speed and force."""
+    """The mode fitted to a group of consecutive strikes, and the mean speed and force of these strikes."""
 
     mode: Mode
     speed_m_per_s: float
@@ -291,7 +294,7 @@ class StrokeFit:
         if slow := preparation.undersampled(self._rate_hz, rough):
             raise FitError(f"{self.name}: {slow}")
         mode, onsets = self._refined_with_onsets(*self._initial(2 * math.pi * rough))
-        if self._unevenness_of(onsets) > GROOVE_LIMITS.even_row:
+        if self._unevenness_of(onsets) > GROOVE_LIMITS.max_even_scatter:
             # A wrong first mode makes false strikes.
             again = self._found(mode)
             if len(again) >= GROOVE_LIMITS.min_strikes and self._unevenness_of(again) < self._unevenness_of(onsets):
@@ -308,30 +311,30 @@ class StrokeFit:
     # ---- Onsets
 
     def _initial(self, angular: float) -> tuple[Mode, Floats]:
-        """Search strikes with modes of several dampings; return the mode and onsets of the most regular strikes.
+        """Search strikes with modes of several dampings; return the mode and the onsets of the most regular strikes.
 
-        A wrong damping gives false strikes at random positions.
+        A wrong damping gives false strikes at random positions. `angular` is the frequency of the modes, rad/s.
         """
         best: tuple[float, Mode, Floats] | None = None
-        most = 0
+        max_count = 0
         for damping in (0.15, 0.03, 0.4):
             mode = Mode(damping * angular, angular)
             onsets = self._found(mode)
-            most = max(most, len(onsets))
+            max_count = max(max_count, len(onsets))
             if len(onsets) < GROOVE_LIMITS.min_strikes:
                 continue
             mode = self._searched(mode, onsets)
             onsets = self._found(mode)
-            most = max(most, len(onsets))
+            max_count = max(max_count, len(onsets))
             if len(onsets) < GROOVE_LIMITS.min_strikes:
                 continue
             uneven = self._unevenness_of(onsets)
             if best is None or uneven < best[0]:
                 best = uneven, mode, onsets
-            if uneven < GROOVE_LIMITS.even_row:
+            if uneven < GROOVE_LIMITS.max_even_scatter:
                 break
         if best is None:
-            raise FitError(f"{self.name}: {most} strikes, {GROOVE_LIMITS.min_strikes} are needed: no grooves here")
+            raise FitError(f"{self.name}: {max_count} strikes, {GROOVE_LIMITS.min_strikes} are needed: no grooves here")
         if best[0] > GROOVE_LIMITS.max_first_unevenness:
             raise FitError(self._scattered(*best))
         return best[1], best[2]
@@ -349,7 +352,7 @@ class StrokeFit:
     def _scattered(self, uneven: float, mode: Mode, onsets: Floats) -> str:
         cycles = float(np.median(np.diff(onsets))) * mode.frequency_hz
         few = cycles < LOWER_LIMITS["cycles from strike to strike"].fair
-        near = f"; they follow one another within {cycles:.1f} cycles: stroke more slowly" if few else ""
+        near = f"; strikes follow one another within {cycles:.1f} cycles: stroke more slowly" if few else ""
         return (
             f"{self.name}: the strikes are not at equal distances (errors of {100 * uneven:.0f} % of the spacing): "
             f"no grooves here, or grooves of two spacings{near}"
@@ -359,12 +362,12 @@ class StrokeFit:
         return np.interp(onsets, self._time_s, self.stroke.position)
 
     def _unevenness_of(self, onsets: Floats) -> float:
-        """Return the RMS distance of the strikes at these onsets from a regular row, as a fraction of its spacing."""
+        """Return the RMS distance of the strikes at these onsets from a regular row, as a fraction of the spacing."""
         position = self._positions(onsets)
         return row_of(position).unevenness(position)
 
     def _found(self, mode: Mode) -> Floats:
-        """Return the sorted times, s, of strikes: steps of the ringing's complex amplitude during motion."""
+        """Return the sorted times, s, of strikes: large steps of the ringing's complex amplitude during motion."""
         step = _ringing_steps(self._seen, self._rate_hz, mode).real
         noise = 1.4826 * float(np.median(np.abs(step)))
         reach = max(2, round(0.5 * self._rate_hz / mode.frequency_hz))
@@ -374,7 +377,7 @@ class StrokeFit:
         return np.asarray(kept[moving[kept] > 0.1 * np.percentile(moving, 90)] / self._rate_hz)
 
     def _regular(self, mode: Mode, onsets: Floats) -> Floats:
-        """Return the strikes' onsets that are at equal distances along the surface; raise FitError if most are not."""
+        """Return the onsets of strikes at equal distances along the surface; raise FitError if there are too few."""
         position = self._positions(onsets)
         row = row_of(position)
         number, off = row.number, np.abs(row.offsets(position))
@@ -384,10 +387,8 @@ class StrokeFit:
             if number[k] == number[k + 1] and regular[k] and regular[k + 1]:
                 regular[k if off[k] > off[k + 1] else k + 1] = False
         spread = float(np.sqrt(np.mean(off[regular] ** 2))) if regular.any() else 1.0
-        if (
-            np.count_nonzero(regular) < max(GROOVE_LIMITS.min_strikes, GROOVE_LIMITS.min_regular * len(position))
-            or spread > GROOVE_LIMITS.max_unevenness
-        ):
+        needed = max(GROOVE_LIMITS.min_strikes, GROOVE_LIMITS.min_regular_fraction * len(position))
+        if np.count_nonzero(regular) < needed or spread > GROOVE_LIMITS.max_unevenness:
             raise FitError(self._scattered(spread, mode, onsets))
         return onsets[regular]
 
@@ -397,7 +398,7 @@ class StrokeFit:
         return float(np.median(np.diff(self._onsets))) * self.mode.frequency_hz
 
     def _without_echoes(self, mode: Mode, onsets: Floats) -> Floats:
-        """Return the onsets without echoes, which a wrong damping makes half-way between two strikes.
+        """Return the onsets without echoes, false strikes half-way between two strikes that a wrong damping causes.
 
         The strikes with odd, or with even, groove numbers are echoes if they are at most half as strong as the others.
         """
@@ -413,7 +414,7 @@ class StrokeFit:
 
     @property
     def row(self) -> tuple[Floats, Ints]:
-        """Positions and groove numbers of the strikes that have a fitted ringing on either side."""
+        """Positions and groove numbers (n,) of the strikes with a fitted ringing on both sides."""
         position = self._positions(self._onsets)
         complete = self._jumps(self.mode, self._onsets)[1]
         return position[complete], row_of(position).number[complete]
@@ -427,7 +428,7 @@ class StrokeFit:
     # ---- The ringing between strikes
 
     def _windows(self, mode: Mode, onsets: Floats, part: slice = slice(None)) -> _FreeRinging:
-        """Return the free ringing after each strike, or after the strikes of the slice `part`."""
+        """Return the intervals of free ringing after each strike, or after the strikes of the slice `part`."""
         guard = 0.1 / mode.frequency_hz
         ends = np.minimum(np.append(onsets[1:] - guard, self._time_s[-1]), onsets + 5 * mode.decay_time_s)
         low = np.maximum(np.ceil((onsets + guard) * self._rate_hz), 0).astype(np.int64)
@@ -435,7 +436,7 @@ class StrokeFit:
         return _FreeRinging(self._seen, self._rate_hz, low[part], high[part], onsets[part], mode)
 
     def _jumps(self, mode: Mode, onsets: Floats) -> tuple[Complexes, Bools]:
-        """Return the step of complex amplitude at each strike, and whether the ringing on both sides was fitted."""
+        """Return the steps of complex amplitude at the strikes (n,), and whether both sides were fitted (n,)."""
         windows = self._windows(mode, onsets)
         z = np.zeros(len(onsets), dtype=np.complex128)
         complete = np.zeros(len(onsets), dtype=np.bool_)
@@ -450,12 +451,12 @@ class StrokeFit:
         return jump, complete
 
     def _residual_squares(self, mode: Mode) -> float:
-        """Return the sum of squared residuals of a mode after refinement."""
+        """Return the sum of squared residuals of all intervals after a refinement of the mode."""
         windows = self._windows(mode, self._onsets)
         return float(np.sum(windows.solved(self._refined(mode, windows))[1] ** 2))
 
     def _searched(self, mode: Mode, onsets: Floats, wide: bool = False) -> Mode:
-        """Return the best of a grid of modes about `mode`; with `wide`, the grid has more frequencies."""
+        """Return the best of a grid of modes about `mode`; if `wide`, the grid has more frequencies."""
         w = mode.angular_frequency_rad_per_s
         reach = min(0.3 * w, 2 * math.pi / float(np.median(np.diff(onsets))))
         windows = self._windows(Mode(0.05 * w, w), onsets[: 2 * GROOVE_LIMITS.strikes_in_group])
@@ -469,7 +470,7 @@ class StrokeFit:
         return min(tried, key=lambda each: float(np.sum(windows.solved(each)[1] ** 2)))
 
     def _refined(self, mode: Mode, windows: _FreeRinging) -> Mode:
-        """Return the mode refined by least squares in log decay rate and log frequency over these intervals.
+        """Return the mode that fits these intervals best, by least squares in log decay rate and log frequency.
 
         The intervals stay the same while the mode changes, so that sums of squares are comparable. Raises FitError if
         all intervals are too short.
@@ -503,13 +504,13 @@ class StrokeFit:
         return found
 
     def _moved(self, onsets: Floats) -> tuple[Floats, Floats]:
-        """Return the stylus's speed and force at each strike's onset."""
+        """Return the stylus's speeds, m/s, and forces, N, at these onsets (n,)."""
         columns = (self.stroke.speed, self._force_n)
         speed, force = (np.interp(onsets, self._time_s, column) for column in columns)
         return speed, force
 
     def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
-        """Return each strike's amplitude, positive along the motion, and whether both sides' ringing was fitted."""
+        """Return the strikes' amplitudes (n,), positive along the motion, and whether both sides were fitted (n,)."""
         jump, complete = self._jumps(mode, self._onsets)
         # Strikes near replaced samples are not used.
         at = np.round(self._onsets * self._rate_hz).astype(np.int64)
@@ -522,14 +523,14 @@ class StrokeFit:
         return np.abs(along) * np.exp(-mode.decay_rate_per_s * _late(along, mode)) * np.sign(along.real), complete
 
     def strikes(self, mode: Mode) -> list[Strike]:
-        """Return the strikes with a ringing on either side; amplitudes are positive along the motion."""
+        """Return the strikes with a fitted ringing on both sides; amplitudes are positive along the motion."""
         size, complete = self._sizes(mode)
         onsets = self._onsets[complete]
         figures = zip(onsets, self._positions(onsets), *self._moved(onsets), size[complete], strict=True)
         return [Strike(self.name, *map(float, each)) for each in figures]
 
     def shifts(self, mode: Mode) -> Floats:
-        """Return the changes (2, strikes) of strike amplitudes if frequency or decay rate rises by a standard error."""
+        """Return the changes (2, strikes) of the amplitudes if frequency, or decay rate, rises by a standard error."""
         size, complete = self._sizes(mode)
         found = np.zeros((2, int(np.count_nonzero(complete))))
         count = len(self.groups)
@@ -542,7 +543,7 @@ class StrokeFit:
         return found
 
     def modelled(self, mode: Mode) -> ModelledStroke:
-        """Return the stroke as modelled by a mode; raise FitError if the mode explains too little."""
+        """Return the stroke as modelled by this mode; raise FitError if the mode explains too little."""
         windows = self._windows(mode, self._onsets)
         self._check_rings(windows)
         left = windows.solved(mode)[1]
@@ -559,7 +560,7 @@ class StrokeFit:
 
 
 def _late(jump: Complexes, mode: Mode) -> Floats:
-    """Return the delays (n,), s, of strikes of either sign after their assumed times, from the phases of `jump`."""
+    """Return the delays (n,), s, of strikes after their assumed times, from the phases of the steps `jump` (n,)."""
     return np.asarray(-np.angle(np.where(jump.real < 0, -jump, jump)) / mode.angular_frequency_rad_per_s)
 
 
@@ -571,8 +572,8 @@ def _gains(
 ) -> tuple[list[Estimate], float]:
     """Return the gains of speed and of force, which are at least 0, and the correlation of the law with the data.
 
-    `columns` are speed and force (n, 2), `shifts` are from StrokeFit.shifts, `law` is the fit with gains of any sign.
-    Raises FitError if a gain is significantly negative.
+    `columns` are the strikes' speeds and forces (n, 2), `shifts` are from StrokeFit.shifts, `law` is the fit with gains
+    of any sign. Raises FitError if a gain is significantly negative.
     """
     gains, correlation = list(law.coefficients), law.correlation
     usual = float(np.median(np.abs(amplitude)))
@@ -592,9 +593,9 @@ def _gains(
 
 
 def _offset(columns: Floats, amplitude: Floats, shifts: Floats, warnings: Warnings) -> Estimate | None:
-    """Return the constant of a law with two gains and a constant, or None if it cannot be separated from the gains.
+    """Return the constant of a law with two gains and a constant, or None if gains and constant cannot be separated.
 
-    The material has no such constant, so a significant one downgrades the verdict.
+    A material has no such constant, so a significant one downgrades the verdict.
     """
     columns = np.column_stack((columns, np.ones_like(amplitude)))
     if len(columns) <= 3 or not well_conditioned(columns):
@@ -606,7 +607,7 @@ def _offset(columns: Floats, amplitude: Floats, shifts: Floats, warnings: Warnin
 
 
 def _spacing(fits: Sequence[StrokeFit]) -> Estimate:
-    """Return the common spacing of all recordings; each row has a separate origin.
+    """Return the common spacing of all recordings, m; each row has a separate origin.
 
     The regression is robust, because a strike with a short ringing may have a wrong position.
     """
@@ -621,7 +622,7 @@ def _spacing(fits: Sequence[StrokeFit]) -> Estimate:
 
 
 def _mean_mode(groups: Sequence[Group]) -> Mode:
-    """Return the mean mode of the groups of one stroke's strikes."""
+    """Return the mode with the mean decay time and the mean frequency of these groups."""
     return Mode(
         1 / float(np.mean([group.mode.decay_time_s for group in groups])),
         float(np.mean([group.mode.angular_frequency_rad_per_s for group in groups])),
@@ -643,7 +644,7 @@ class GroovesFit(Fit):
     correlation: float
     """Correlation of measured and predicted amplitudes."""
     offset_m_per_s2: Estimate | None
-    """Constant of a law of two gains plus a constant; None if it cannot be separated from the gains."""
+    """Constant of a law of two gains plus a constant; None if gains and constant cannot be separated."""
     frequency_per_speed_hz_s_per_m: Estimate | None
     frequency_per_force_hz_per_n: Estimate | None
     variance_accounted_for: float
@@ -670,8 +671,7 @@ class GroovesFit(Fit):
 def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> GroovesFit:
     """Fit grooves to strokes at several speeds and forces.
 
-    Unusable recordings and sections are added to `excluded`. Raises FitError if the recordings do
-    not support a fit.
+    Unusable recordings and sections are added to `excluded`. Raises FitError if the recordings do not support a fit.
     """
     excluded = Exclusions() if excluded is None else excluded
     warnings = Warnings()
@@ -700,13 +700,8 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     spacing = _spacing(fits)
     columns = np.array([(abs(strike.speed_m_per_s), strike.force_n) for strike in strikes])
     amplitude = np.array([strike.amplitude_m_per_s2 for strike in strikes])
-    usual = float(np.median(np.abs(amplitude)))
-    preparation.check_range(
-        usual,
-        GROOVE_LIMITS.min_amplitude_m_per_s2,
-        GROOVE_LIMITS.max_amplitude_m_per_s2,
-        "usual amplitude of the strikes",
-    )
+    low, high = GROOVE_LIMITS.min_amplitude_m_per_s2, GROOVE_LIMITS.max_amplitude_m_per_s2
+    preparation.check_range(float(np.median(np.abs(amplitude))), low, high, "median amplitude of the strikes")
     preparation.check_force_varies(recordings, columns[:, 1], warnings)
     preparation.check_independent(columns[:, 0], columns[:, 1])
     law = robust(columns, amplitude, shifts)
@@ -754,20 +749,20 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
 
 
 def _refuse_others(fits: Sequence[StrokeFit]) -> None:
-    """Raise FitError if the recordings have different spacings or modes."""
+    """Raise FitError if the recordings differ in the spacing of the grooves or the frequency of the ringing."""
     spacings = np.array([abs(each.spacing_m) for each in fits])
     frequencies = np.array([each.mode.frequency_hz for each in fits])
-    for values, most, what, unit, scale in (
+    for values, max_difference, what, unit, scale in (
         (spacings, GROOVE_LIMITS.max_spacing_difference, "spacing of the grooves:", "mm", 1e3),
         (frequencies, GROOVE_LIMITS.max_frequency_difference, "frequency of the ringing:", "Hz", 1.0),
     ):
         middle = float(np.median(values))
         off = np.abs(values / middle - 1)
-        if off.max() > most:
+        if off.max() > max_difference:
             k = int(np.argmax(off))
             raise FitError(
-                f"{fits[k].name}: {what} {scale * values[k]:.4g} {unit}, in the other recordings "
-                f"{scale * middle:.4g}: other grooves, or strokes too fast to separate the strikes"
+                f"{fits[k].name}: {what} {scale * values[k]:.4g} {unit}, usually {scale * middle:.4g}: other grooves, "
+                "or strokes too fast to separate the strikes"
             )
 
 

@@ -28,13 +28,13 @@ class FitOptions:
     """Options of a fit; None means that the recordings decide."""
 
     form: TapKind | None = None
-    """Model of the taps. This and the next four options apply to taps only."""
+    """Model of the taps. The options from `form` to `mode_table` apply to taps only."""
     attack: Attack | None = None
     law: LawKind | None = None
     two_modes: bool | None = None
     mode_table: bool | None = None
     autoregressive: bool | None = None
-    """Whether a texture is fitted by autoregressive models."""
+    """Whether autoregressive models are fitted to a texture."""
 
     @property
     def of_modes(self) -> list[str]:
@@ -42,7 +42,7 @@ class FitOptions:
         return [name for name in ("law", "two_modes", "mode_table", "attack") if getattr(self, name) is not None]
 
     def fault(self, spelled: Callable[[str], str]) -> tuple[str, str] | None:
-        """Return an option that conflicts with another and the text of the error; None without a conflict.
+        """Return an option that conflicts with another one, and the text of the error; None without a conflict.
 
         `spelled(name)` returns an option as the user writes it.
         """

@@ -21,7 +21,7 @@ from hapticd.fit.result import Fit, estimates, plain_figures
 from hapticd.fit.ringing import fit_ringing
 from hapticd.fit.speed_law import Amplitudes
 from hapticd.fit.synthesize import level_of, unit_density
-from hapticd.fit.verdict import WHOLE_RECORDING, Exclusion
+from hapticd.fit.verdict import COMPLETE_RECORDING, Exclusion
 from hapticd.fit.waveform import PulseHit, WaveformFit
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ DENSITY_UNIT: Final = "(m/s²)²/Hz"
 def page_of(
     kind: Kind, title: str, fit: Fit, recordings: Sequence[Recording], unused: Sequence[Recording] = ()
 ) -> Page:
-    """Return the report of a fit of this kind; it shows why `unused` recordings are left out."""
+    """Return the report of a fit of this kind, which also shows why `unused` recordings are left out."""
     sources = {recording.source.path: recording.source.sha256 for recording in recordings}
     drawn = _ROWS_BY_KIND[kind](fit, [_kept(each, kind) for each in recordings])
     rows = tuple(row for row in (*drawn, *_left_out(fit, [*recordings, *unused])) if row)
@@ -49,7 +49,7 @@ def page_of(
 
 
 def first_row(kind: Kind, fit: Fit, recordings: Sequence[Recording]) -> Row:
-    """Return the report's first row of pictures, which shows the events of all recordings together."""
+    """Return the first row of pictures in the report of a fit; it shows the events of all recordings together."""
     rows = _ROWS_BY_KIND[kind](fit, [_kept(each, kind) for each in recordings])
     return next((row for row in rows if row), ())
 
@@ -63,7 +63,7 @@ def _kept(recording: Recording, kind: Kind) -> Recording:
 
 
 def density(values: Floats, rate_hz: float, segment: int = 4096) -> tuple[Floats, Floats]:
-    """Return frequencies, Hz, and one-sided power spectral density, without 0 Hz.
+    """Return the frequencies above 0 Hz, and the one-sided power spectral density there.
 
     The density is Welch's mean over Hann windows of `segment` samples that overlap by half.
     """
@@ -76,7 +76,7 @@ def density(values: Floats, rate_hz: float, segment: int = 4096) -> tuple[Floats
 def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
     """Return pictures of recording, model and residual over time, and of their spectra.
 
-    `model` is NaN where nothing was fitted. The spectra are of its longest section without NaN. The pictures over time
+    `model` is NaN where nothing was fitted. The spectra are of the longest section without NaN. The pictures over time
     show 150 ms around this section.
     """
     modelled = np.flatnonzero(np.isfinite(model))
@@ -160,9 +160,9 @@ def _ringing(fit: TapFit) -> Row:
 
     def less(curve: Curve) -> Curve:
         """Return the curve of amplitudes minus the fitted line through the origin."""
-        there = fit.slope_per_s.value * curve.x
-        low, high = (None if end is None else end - there for end in (curve.low, curve.high))
-        return dataclasses.replace(curve, y=curve.y - there, low=low, high=high)
+        line = fit.slope_per_s.value * curve.x
+        low, high = (None if end is None else end - line for end in (curve.low, curve.high))
+        return dataclasses.replace(curve, y=curve.y - line, low=low, high=high)
 
     return (
         dataclasses.replace(lines, curves=curves),
@@ -182,7 +182,7 @@ def _columns(events: Sequence[object], *names: str) -> tuple[Floats, ...]:
 
 
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
-    """Yield pictures of partly used recordings with their excluded events and parts, the first of these in detail."""
+    """Yield pictures of partly used recordings, then of the first excluded events and recordings in detail."""
     seen = {each.name: each for each in recordings if each.acceleration_m_per_s2 is not None}
     excluded: list[Exclusion] = [each for each in fit.left_out if each.recording in seen]
     if not excluded:
@@ -190,13 +190,13 @@ def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
     used = [(tap.recording, tap.onset_s) for tap in getattr(fit, "taps", ())]
     both = dict.fromkeys(each.recording for each in excluded if each.recording in {name for name, _ in used})
     yield tuple(_marked(seen[name], used, excluded) for name in islice(both, MAX_DRAWN_RECORDINGS))
-    drawable = [each for each in excluded if each.what == WHOLE_RECORDING or each.time_s is not None]
+    drawable = [each for each in excluded if each.what == COMPLETE_RECORDING or each.time_s is not None]
     for first in (0, MAX_DRAWN_RECORDINGS):
         yield tuple(_not_used(seen[each.recording], each) for each in drawable[first : first + MAX_DRAWN_RECORDINGS])
 
 
 def _marked(recording: Recording, used: Sequence[tuple[str, float]], excluded: Sequence[Exclusion]) -> Panel:
-    """Return a picture of a recording with marks above the events that were used or left out."""
+    """Return a picture of a recording, with marks above the events that were used or left out."""
     seen = recording.acceleration_m_per_s2
     assert seen is not None
     time_s = np.arange(len(seen)) / recording.rate_hz
@@ -214,7 +214,7 @@ def _marked(recording: Recording, used: Sequence[tuple[str, float]], excluded: S
 
 
 def _not_used(recording: Recording, exclusion: Exclusion) -> Panel:
-    """Return a picture of the recording near an excluded event, or of a complete excluded recording."""
+    """Return a picture of a recording near an excluded event, or of a complete excluded recording."""
     seen, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     assert seen is not None
     first, last = 0, len(seen)
@@ -266,10 +266,10 @@ def _power(recording: Recording, texture: Stochastic | Autoregressive) -> Row:
     unit[unit == 0] = np.nan  # an autoregressive model has no density beyond half its rate
     modelled = level_of(texture, np.array([speed]), np.array([force_n])) ** 2 * unit
     decibels = 10 * np.log10(np.maximum(recorded, 1e-300) / np.maximum(modelled, 1e-300))
-    heard = modelled > 1e-3 * np.nanmax(modelled)
+    loud = modelled > 1e-3 * np.nanmax(modelled)
     name = f"{os.path.basename(recording.name)}, {speed:.3g} m/s, {force_n:.3g} N"
     spectra = (Curve("recording", frequency, recorded), Curve("model", frequency, modelled))
-    ratio = (Curve("recording over model", frequency[heard], decibels[heard]),)
+    ratio = (Curve("recording over model", frequency[loud], decibels[loud]),)
     return (
         Panel(name, "Hz", DENSITY_UNIT, spectra, logarithmic=True),
         Panel("recording over model, at loud frequencies", "Hz", "dB", ratio),
@@ -322,14 +322,14 @@ def _puncture(fit: PunctureFit, recordings: Sequence[Recording]) -> Iterator[Row
         )
         first = max(0, at - round(mode.decay_time_s * rate_hz))
         last = min(len(acceleration), at + round(5 * mode.decay_time_s * rate_hz))
-        heard = acceleration[first:last] - np.median(acceleration[:at])
+        measured = acceleration[first:last] - np.median(acceleration[:at])
         since = np.arange(first, last) / rate_hz - struck_s
         later = np.maximum(since, 0.0)
         ringing = np.exp(-mode.decay_rate_per_s * later) * np.sin(mode.angular_frequency_rad_per_s * later)
         # The accelerometer may be mounted with either sign.
-        turned = 1.0 if float(heard @ ringing) >= 0 else -1.0
+        turned = 1.0 if float(measured @ ringing) >= 0 else -1.0
         spring = Panel(os.path.basename(recording.name), "deflection, mm", "N", forces)
-        yield (spring, *overlay("ringing", rate_hz, heard, turned * rupture.amplitude_m_per_s2 * ringing))
+        yield (spring, *overlay("ringing", rate_hz, measured, turned * rupture.amplitude_m_per_s2 * ringing))
 
 
 def _material(fit: Fit) -> Material:

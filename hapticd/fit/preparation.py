@@ -36,11 +36,11 @@ WORDS_OF_COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
     "position_m": ("the position", "m"),
     "tangential_position_m": ("the position along the surface", "m"),
 }
-"""Name of each column in messages, and its unit."""
+"""Name in messages, and unit, of each column of a recording."""
 
 
 def refuse_duplicates(recordings: Sequence[Recording]) -> None:
-    """Raise FitError if two recordings have the same bytes: one would count twice."""
+    """Raise FitError if two recordings have the same bytes, because the data would count twice."""
     seen: dict[str, str] = {}
     for recording in recordings:
         sha256 = recording.source.sha256
@@ -113,19 +113,16 @@ class _Column:
     def clean(self, kind: Kind) -> None:
         """Replace the samples that are impossible for this kind of fit.
 
-        Forces at ruptures and speeds of taps look like spikes, so only strokes are searched for long spikes. The
-        position of a tap keeps its leaps: only the approach matters, and a tap with an uneven approach is left out.
+        Forces at ruptures and speeds of taps look like spikes, so only strokes are searched for long spikes. Leaps in
+        the position of taps remain: only the approach matters, and a tap with an uneven approach is left out.
         """
         tap, stroke = kind == "tap", kind in ("grooves", "texture")
         fastest = SPEED_LAW_LIMITS.max_speed_m_per_s if tap else PREPARATION_LIMITS.max_stroke_speed_m_per_s
         match self._name:
             case "acceleration_m_per_s2":
-                most = (
-                    PREPARATION_LIMITS.max_tap_acceleration_m_per_s2
-                    if tap
-                    else PREPARATION_LIMITS.max_acceleration_m_per_s2
-                )
-                self._replace_beyond(most, "is it in another unit, or another column?")
+                of_tap = PREPARATION_LIMITS.max_tap_acceleration_m_per_s2
+                limit = of_tap if tap else PREPARATION_LIMITS.max_acceleration_m_per_s2
+                self._replace_beyond(limit, "is it in another unit, or another column?")
                 if kind == "texture":
                     self._replace_stuck()
                 else:
@@ -139,7 +136,7 @@ class _Column:
             case _:
                 self._replace_beyond(math.inf, "")
                 if not tap:
-                    self._take_leaps_out(fastest)
+                    self._remove_leaps(fastest)
         if stroke and self._name in ("force_n", "speed_m_per_s"):
             self._replace_spikes()
             self._replace_stuck()
@@ -147,7 +144,7 @@ class _Column:
     def _replace_beyond(self, limit: float, question: str) -> None:
         """Replace samples whose magnitude is above `limit`, and samples that are not finite.
 
-        Raises UnitError with the `question` if many samples are above.
+        If there are many of them, raise UnitError with the `question` to the user.
         """
         # A comparison with NaN is false.
         over = ~(np.abs(self.values) <= limit) | ~np.isfinite(self.values)
@@ -156,7 +153,7 @@ class _Column:
         spans, first = spans_of(over), int(np.argmax(over))
         value = f"{self._what} of {self._value(first)}"
         bound = f" (at most {limit:g})" if question else ""
-        if np.mean(over) > PREPARATION_LIMITS.max_beyond_limit or len(spans) > PREPARATION_LIMITS.max_findings:
+        if np.mean(over) > PREPARATION_LIMITS.max_invalid_fraction or len(spans) > PREPARATION_LIMITS.max_faults:
             raise UnitError(
                 f"{self._file}: {value} is impossible{bound}, and so are {100 * np.mean(over):.3g} % of the samples"
                 f"{f': {question}' if question else ''}"
@@ -166,14 +163,14 @@ class _Column:
         self._replace(spans, f"{value} is impossible{bound}{others}")
 
     def _replace_spikes(self) -> None:
-        """Replace values far beyond the usual ones that last at most 10 ms."""
+        """Replace spikes: values far beyond the usual ones, for at most 10 ms."""
         values = self.values
         noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
         far = max(2.0 * float(np.percentile(np.abs(values), 95)), PREPARATION_LIMITS.spike_to_noise * noise)
         half = max(PREPARATION_LIMITS.max_spike_samples, round(2 * PREPARATION_LIMITS.max_spike_s * self._rate_hz))
         found: Spans = []
         near = spans_of(np.abs(values - float(np.median(values))) > 0.75 * far)
-        for low, high in near if len(near) <= 10 * PREPARATION_LIMITS.max_findings else ():
+        for low, high in near if len(near) <= 10 * PREPARATION_LIMITS.max_faults else ():
             if high - low > 2 * half:
                 continue
             about = float(np.median(values[max(0, low - half) : high + half]))
@@ -182,25 +179,20 @@ class _Column:
         self._replace_leaping(found)
 
     def _replace_short(self, above_all: bool) -> None:
-        """Replace spikes of up to PREPARATION_LIMITS.max_spike_samples far above the samples next to them.
+        """Replace short spikes, of at most PREPARATION_LIMITS.max_spike_samples, far above the samples next to them.
 
-        With `above_all` they must also be far above all other samples, because a slowly sampled tap is as short.
+        If `above_all`, a spike must also be far above all other samples, because a slowly sampled tap is as short.
         """
-        size = np.abs(self.values - np.median(self.values))
+        size, longest = np.abs(self.values - np.median(self.values)), PREPARATION_LIMITS.max_spike_samples
         loud = PREPARATION_LIMITS.spike_to_noise * 1.4826 * float(np.median(size))
         if not size.max() > loud:
             return
         found: Spans = []
         for low, high in spans_of(size > max(loud, size.max() / PREPARATION_LIMITS.spike_ratio**2)):
-            around = np.concatenate(
-                (
-                    size[max(0, low - PREPARATION_LIMITS.max_spike_samples) : low],
-                    size[high : high + PREPARATION_LIMITS.max_spike_samples],
-                )
-            )
-            if high - low <= PREPARATION_LIMITS.max_spike_samples and size[
-                low:high
-            ].max() > PREPARATION_LIMITS.spike_ratio * around.max(initial=0.0):
+            if high - low > longest:
+                continue
+            around = np.concatenate((size[max(0, low - longest) : low], size[high : high + longest]))
+            if size[low:high].max() > PREPARATION_LIMITS.spike_ratio * around.max(initial=0.0):
                 found.append((low, high))
         if above_all and found:
             rest = size.copy()
@@ -216,31 +208,31 @@ class _Column:
         self._replace_leaping(found)
 
     def _replace_stuck(self) -> None:
-        """Replace standstills (equal values) much longer than others, except those at 0 at either end (no contact)."""
+        """Replace standstills (equal values) much longer than others; at either end 0 means no contact."""
         edges = np.flatnonzero(np.diff(self.values)) + 1
         starts, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(self.values)]))
         runs = ends - starts
-        least = max(
+        min_samples = max(
             PREPARATION_LIMITS.min_standstill_s * self._rate_hz,
             PREPARATION_LIMITS.standstill_ratio * float(np.percentile(runs, 99)),
             16.0,
         )
         found = [
             (int(low), int(high))
-            for low, high in zip(starts[runs >= least], ends[runs >= least], strict=True)
+            for low, high in zip(starts[runs >= min_samples], ends[runs >= min_samples], strict=True)
             if self.values[low] != 0 or not (low == 0 or high == len(self.values))
         ]
-        if not found or len(found) > PREPARATION_LIMITS.max_findings:
+        if not found or len(found) > PREPARATION_LIMITS.max_faults:
             return
         low, high = found[0]
         value = f"{self.values[low]:.6g} {self._unit}"
         where = f"from {self._at(low)} to {self._at(high - 1)}"
         self._replace(found, f"{self._what} stands still at {value} {where}{_as_in_others(found)}")
 
-    def _take_leaps_out(self, fastest: float) -> None:
+    def _remove_leaps(self, fastest: float) -> None:
         """Remove leaps (jumps from one sample to the next) of a position.
 
-        A leap is far larger than the largest usual step, and either larger than the steps next to it or faster than
+        A leap is far larger than the largest usual step, and either larger than the neighbouring steps or faster than
         `fastest`, in m/s. If the position returns within 20 ms, the samples until then are replaced as a spike.
         """
         steps = np.diff(self.values)
@@ -249,19 +241,15 @@ class _Column:
         if len(moved) < 8:
             return
         usual = PREPARATION_LIMITS.leap_ratio * float(np.percentile(moved, 99))
+        reach = PREPARATION_LIMITS.max_spike_samples
         leaps = []
         for k in np.flatnonzero(size > usual):
-            neighbours = np.concatenate(
-                (
-                    size[max(0, k - PREPARATION_LIMITS.max_spike_samples) : k],
-                    size[k + 1 : k + 1 + PREPARATION_LIMITS.max_spike_samples],
-                )
-            )
+            neighbours = np.concatenate((size[max(0, k - reach) : k], size[k + 1 : k + 1 + reach]))
             if size[k] * self._rate_hz > fastest or size[k] > 3.0 * np.median(neighbours):
                 leaps.append(int(k))
         if not leaps:
             return
-        if len(leaps) > PREPARATION_LIMITS.max_findings:
+        if len(leaps) > PREPARATION_LIMITS.max_faults:
             raise FitError(
                 f"{self._file}: {self._what} leaps in {len(leaps)} places, first by {steps[leaps[0]]:.4g} "
                 f"{self._unit} at {self._at(leaps[0] + 1)}: is it the right column, or was the encoder disturbed?"
@@ -271,7 +259,7 @@ class _Column:
         values, shift = self.values, np.zeros(len(self.values))
         back = max(2, round(PREPARATION_LIMITS.max_leap_return_s * self._rate_hz))
         # Longest usual standstill of the position, in samples.
-        run = max(PREPARATION_LIMITS.max_spike_samples, 4 * len(values) / max(1, int(np.count_nonzero(steps))))
+        run = max(reach, 4 * len(values) / max(1, int(np.count_nonzero(steps))))
         while leaps:
             at = leaps[0]
             drift = float(np.median(steps[max(0, at - back) : at])) if at > 0 else 0.0
@@ -301,15 +289,15 @@ class _Column:
             self.values = self.values - np.cumsum(shift)
 
     def _replace_leaping(self, found: Spans) -> None:
-        if not found or len(found) > PREPARATION_LIMITS.max_findings:
+        if not found or len(found) > PREPARATION_LIMITS.max_faults:
             # More are a property of the recording.
             return
         low, high = found[0]
         peak = low + int(np.argmax(np.abs(self.values[low:high] - np.median(self.values))))
         self._replace(found, f"{self._what} leaps to {self._value(peak)} and back{_as_in_others(found)}")
 
-    def _replace(self, spans: Spans, found: str) -> None:
-        """Interpolate these samples linearly; `found` is the text of the warning."""
+    def _replace(self, spans: Spans, warning: str) -> None:
+        """Interpolate these samples linearly, and add this warning."""
         bad = np.zeros(len(self.values), dtype=np.bool_)
         for low, high in spans:
             bad[low:high] = True
@@ -318,7 +306,7 @@ class _Column:
         at = np.arange(len(self.values))
         self.values = np.where(bad, np.interp(at, at[~bad], self.values[~bad]), self.values)
         self.bad |= bad
-        self.warnings.append(f"{self._file}: {found}; left out")
+        self.warnings.append(f"{self._file}: {warning}; left out")
 
     def _value(self, sample: int) -> str:
         return f"{self.values[sample]:.6g} {self._unit} at {self._at(sample)}"
@@ -335,19 +323,19 @@ def _as_in_others(found: Sequence[object]) -> str:
 
 
 def between_gaps(recording: Recording, samples: int) -> list[tuple[int, int]]:
-    """Return pairs (first sample, last sample + 1) of the sections without missing samples."""
+    """Return pairs (first sample, last sample + 1) of the sections of a recording without missing samples."""
     edges = [0, *(edge for gap in recording.gaps for edge in gap), samples]
     return [(begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if end > begin]
 
 
-def sections_of(recordings: Sequence[Recording], least_s: float, excluded: Exclusions) -> list[Recording]:
-    """Return the complete sections of all recordings; a recording with too few samples in them is left out."""
-    parts = excluded.each(recordings, lambda one: complete_sections(one, least_s, excluded))
+def sections_of(recordings: Sequence[Recording], min_s: float, excluded: Exclusions) -> list[Recording]:
+    """Return the complete sections, of `min_s` or more, of all recordings; leave out incomplete recordings."""
+    parts = excluded.each(recordings, lambda one: complete_sections(one, min_s, excluded))
     return [part for each in parts for part in each]
 
 
-def complete_sections(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
-    """Return the recording, or its sections of at least `least_s` without gaps and clipped samples, as recordings.
+def complete_sections(recording: Recording, min_s: float, excluded: Exclusions) -> list[Recording]:
+    """Return the sections of at least `min_s` without gaps and clipped samples, as recordings.
 
     The other parts are added to `excluded`. Raises FitError if too much is left out.
     """
@@ -367,15 +355,15 @@ def complete_sections(recording: Recording, least_s: float, excluded: Exclusions
         bad[begin:end] = True
     if not bad.any():
         return [recording]
-    kept = [(begin, end) for begin, end in spans_of(~bad) if end - begin >= least_s * rate_hz]
-    there = sum(end - begin for begin, end in kept)
+    kept = [(begin, end) for begin, end in spans_of(~bad) if end - begin >= min_s * rate_hz]
+    usable = sum(end - begin for begin, end in kept)
     reason = ", ".join(reasons)
-    if there < PREPARATION_LIMITS.min_complete * samples:
+    if usable < PREPARATION_LIMITS.min_complete_fraction * samples:
         raise FitError(
-            f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is in complete sections of {least_s:g} "
-            f"s, {100 * PREPARATION_LIMITS.min_complete:.0f} % are needed"
+            f"{recording.name}: {reason}: {100 * usable / samples:.0f} % of the samples are in complete sections of "
+            f"{min_s:g} s, {100 * PREPARATION_LIMITS.min_complete_fraction:.0f} % are needed"
         )
-    excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
+    excluded.add(recording.name, f"{(samples - usable) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
     found = []
     for begin, end in kept:
         parts = {name: values[begin:end] for name, values in columns.items() if len(values) == samples}
@@ -385,7 +373,7 @@ def complete_sections(recording: Recording, least_s: float, excluded: Exclusions
 
 
 def gaps_in_words(recording: Recording) -> str:
-    """Return a phrase with the number and time of missing samples."""
+    """Return a phrase with the number and the time of the missing samples of a recording that has gaps."""
     (begin, end), more = recording.gaps[0], len(recording.gaps) - 1
     others = f", and in {more} more {'place' if more == 1 else 'places'}" if more else ""
     return f"{end - begin} samples are missing at {begin / recording.rate_hz:.4g} s{others}"
@@ -395,7 +383,7 @@ def gaps_in_words(recording: Recording) -> str:
 
 
 def acceleration_of(recording: Recording) -> Floats:
-    """Return the acceleration, m/s^2; raise FitError if it was not recorded or hardly changes."""
+    """Return the acceleration (n,), m/s^2; raise FitError if it was not recorded or hardly changes."""
     values = recording.acceleration_m_per_s2
     if values is None:
         raise FitError(f"{recording.name}: no acceleration, which this fit needs")
@@ -405,27 +393,26 @@ def acceleration_of(recording: Recording) -> Floats:
         )
     if np.ptp(values) < PREPARATION_LIMITS.min_acceleration_span_m_per_s2:
         raise FitError(
-            f"{recording.name}: the acceleration changes by {np.ptp(values):.2g} m/s^2 only, which is not felt: wrong "
-            "unit?"
+            f"{recording.name}: the acceleration changes by {np.ptp(values):.2g} m/s^2, which is not felt: wrong unit?"
         )
     return values
 
 
 def force_of(recording: Recording) -> Floats:
-    """Return the normal force, N, positive if pressing; raise FitError if it was not recorded, is 0 or too small."""
+    """Return the normal force (n,), N; raise FitError if it was not recorded, is 0 or too small."""
     values = recording.force_n
     if values is None:
         raise FitError(f"{recording.name}: no force, which this fit needs")
     if not np.any(values):
         raise FitError(f"{recording.name}: the force is 0 throughout: was the sensor connected?")
-    largest = float(np.percentile(np.abs(values), 99.9))
-    if largest < PREPARATION_LIMITS.min_force_n:
-        raise UnitError(f"{recording.name}: a force of {largest:.2g} N at most is too small to be felt: is it in kN?")
+    highest = float(np.percentile(np.abs(values), 99.9))
+    if highest < PREPARATION_LIMITS.min_force_n:
+        raise UnitError(f"{recording.name}: the largest force, {highest:.2g} N, is too small to be felt: is it in kN?")
     return values
 
 
 def pressing_force(recording: Recording) -> Floats:
-    """Return the force, N; raise UnitError if the force is mostly negative or oscillates about 0."""
+    """Return the force (n,), N, pressing positive; raise UnitError if it is mostly negative or oscillates about 0."""
     values = force_of(recording)
     if np.median(values) < 0:
         raise UnitError(f"{recording.name}: the force is mostly negative: pressing must be positive (scale -1?)")
@@ -435,9 +422,9 @@ def pressing_force(recording: Recording) -> Floats:
 
 
 def check_force_varies(recordings: Sequence[Recording], force: Floats, warnings: Warnings) -> None:
-    """Raise FitError if all samples have the same force; downgrade the verdict if it varies by less than a fifth.
+    """Raise FitError if all samples have the same force; downgrade the verdict if `force` varies by less than a fifth.
 
-    `force` is (n,), the forces of the events or blocks, N.
+    `force` (n,) are the forces of the strikes or blocks, N.
     """
     every = np.concatenate([recording.force_n for recording in recordings if recording.force_n is not None])
     if not np.ptp(every) > 0:
@@ -449,11 +436,11 @@ def check_force_varies(recordings: Sequence[Recording], force: Floats, warnings:
         )
 
 
-def check_range(usual: float, least: float, most: float, figure: str) -> None:
-    """Raise FitError unless the `usual` amplitude, m/s^2, is from `least` to `most`; `figure` names it in the error."""
-    if not least <= usual <= most:
+def check_range(usual: float, low: float, high: float, name: str) -> None:
+    """Raise FitError unless an amplitude, m/s^2, is from `low` to `high`; `name` is its name in the error."""
+    if not low <= usual <= high:
         raise FitError(
-            f"{figure}: must be between {least:g} and {most:g} m/s^2, is {usual:.3g}: wrong unit of the acceleration?"
+            f"{name}: must be between {low:g} and {high:g} m/s^2, is {usual:.3g}: wrong unit of the acceleration?"
         )
 
 
@@ -472,26 +459,26 @@ def check_independent(speed: Floats, force: Floats) -> None:
 
 
 def changes_with(
-    speed: Floats, force: Floats, frequencies: Floats, named: str, least: float, level: float, warnings: Warnings
+    speed: Floats, force: Floats, hertz: Floats, name: str, min_change: float, confidence: float, warnings: Warnings
 ) -> tuple[Estimate | None, Estimate | None]:
     """Return the slopes of frequencies (n,) with speed and with force, or None if these do not vary independently.
 
-    Downgrade the verdict if a slope is significant at the confidence `level` and changes the frequency by at least the
-    fraction `least` of its mean.
+    Downgrade the verdict if a slope is significant at this confidence, and changes the frequency by `min_change`, a
+    fraction of the mean, or more. `name` is the name of the frequency in warnings.
     """
     columns = np.column_stack((speed, force, np.ones_like(speed)))
     if len(speed) < 6 or not statistics.well_conditioned(columns):
-        warnings.note(f"too few strokes at different speeds and forces to show whether the {named} depends on them")
+        warnings.note(f"too few strokes at different speeds and forces to show whether the {name} depends on them")
         return None, None
-    line = statistics.least_squares(columns, frequencies)
-    wider = statistics.student_t(line.freedom, level) / statistics.student_t(line.freedom)
-    for slope, values, name, unit in zip(
+    line = statistics.least_squares(columns, hertz)
+    wider = statistics.student_t(line.freedom, confidence) / statistics.student_t(line.freedom)
+    for slope, values, cause, unit in zip(
         line.coefficients, (speed, force), ("speed", "force"), ("m/s", "N"), strict=False
     ):
         change = slope.value * float(np.ptp(values))
-        if abs(slope.value) > wider * (slope.high - slope.value) and abs(change) > least * float(frequencies.mean()):
+        if abs(slope.value) > wider * (slope.high - slope.value) and abs(change) > min_change * float(hertz.mean()):
             warnings.add_fair(
-                f"the {named} changes with {name}: by {change:+.3g} Hz from {values.min():.3g} to {values.max():.3g} "
+                f"the {name} changes with {cause}: by {change:+.3g} Hz from {values.min():.3g} to {values.max():.3g} "
                 f"{unit}; the material has the mean"
             )
     return line.coefficients[0], line.coefficients[1]
@@ -516,13 +503,13 @@ def report_gravity(recordings: Sequence[Recording], warnings: Warnings) -> None:
         warnings.add_fair(line)
 
 
-def undersampled(rate_hz: float, frequency_hz: float, least: float = PREPARATION_LIMITS.min_samples_per_cycle) -> str:
-    """Return a phrase if a rate gives fewer than `least` samples in a cycle of a frequency, else an empty string."""
-    if rate_hz >= least * frequency_hz:
+def undersampled(rate_hz: float, frequency_hz: float, minimum: float = PREPARATION_LIMITS.min_samples_per_cycle) -> str:
+    """Return a phrase if a rate gives fewer than `minimum` samples in a cycle of a frequency, else an empty string."""
+    if rate_hz >= minimum * frequency_hz:
         return ""
     return (
         f"rings at {frequency_hz:.4g} Hz, and its sampling rate of {rate_hz:g} Hz is too low: must be at least "
-        f"{least:g} times that, {math.ceil(least * frequency_hz)} Hz"
+        f"{minimum:g} times that, {math.ceil(minimum * frequency_hz)} Hz"
     )
 
 
@@ -537,7 +524,7 @@ def report_sampling(recordings: Sequence[Recording], frequency_hz: float, warnin
 
 @dataclass(frozen=True, slots=True)
 class Stroke(Cleaned):
-    """A recording of a stroke whose impossible samples are replaced; arrays (n,)."""
+    """A recording of a stroke whose impossible samples are replaced; all arrays are (n,)."""
 
     acceleration: Floats
     """m/s^2."""
@@ -558,7 +545,7 @@ def stroke_of(recording: Recording, kind: Kind) -> Stroke:
 
 
 def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
-    """Return position and speed, from the tangential position or the speed.
+    """Return the position and the speed along the surface (n,), from the recorded position or speed.
 
     Raises FitError if neither was recorded, or if both disagree.
     """
@@ -568,7 +555,7 @@ def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
         given = np.asarray(recording.speed_m_per_s, dtype=np.float64).reshape(-1)
         if given.size not in (1, samples):
             raise FitError(
-                f"{name}: holds {given.size} speeds for {samples} samples: a stroke needs one speed, or one a sample"
+                f"{name}: {given.size} speeds for {samples} samples: a stroke needs one speed, or one for each sample"
             )
         column = np.full(samples, given[0]) if given.size == 1 else given
     if position is None:
@@ -576,9 +563,8 @@ def _motion_of(recording: Recording, samples: int) -> tuple[Floats, Floats]:
             raise FitError(f"{name}: no position along the surface and no speed: a stroke needs one of them")
         _refuse_speed(recording, column)
         return np.concatenate(([0.0], np.cumsum((column[1:] + column[:-1]) / 2))) / recording.rate_hz, column
-    if np.ptp(position) > PREPARATION_LIMITS.max_stroke_m:
-        limit_m = PREPARATION_LIMITS.max_stroke_m
-        raise UnitError(f"{name}: a stroke must be at most {limit_m:g} m, is {np.ptp(position):.4g} m: is it in mm?")
+    if np.ptp(position) > (max_m := PREPARATION_LIMITS.max_stroke_m):
+        raise UnitError(f"{name}: a stroke must be at most {max_m:g} m, is {np.ptp(position):.4g} m: is it in mm?")
     if not np.ptp(position) > 0:
         raise FitError(f"{name}: the position along the surface never moves: is it the wrong column?")
     found = slope_of(position, recording.rate_hz, 0.02)
@@ -610,7 +596,7 @@ def _refuse_speed(recording: Recording, speed: Floats) -> None:
 
 
 def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:
-    """Return the slope, per second, of a line fitted to the window about each sample, shorter at the ends."""
+    """Return the slopes (n,), per second, of lines fitted to a window about each sample, shorter at the ends."""
     count = len(values)
     half = min(max(1, round(window_s * rate_hz / 2)), (count - 1) // 2)
     centred = values - values[count // 2]
@@ -623,13 +609,13 @@ def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:
 
 
 def running_mean(values: Floats, half: int) -> Floats:
-    """Return the mean over 2 half + 1 samples about each sample, fewer at the ends."""
+    """Return the means (n,) of 2 half + 1 samples about each sample, fewer at the ends."""
     total = np.concatenate(([0.0], np.cumsum(values)))
     low, high = _about(len(values), half)
     return np.asarray((total[high] - total[low]) / (high - low))
 
 
 def _about(count: int, half: int) -> tuple[Ints, Ints]:
-    """Return the first sample, and the last sample + 1, of the window about each of `count` samples."""
+    """Return the first sample (count,), and the last sample + 1 (count,), of the window about each sample."""
     at = np.arange(count)
     return np.maximum(at - half, 0), np.minimum(at + half + 1, count)

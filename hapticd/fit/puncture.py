@@ -27,7 +27,7 @@ from hapticd.fit.verdict import Exclusions, Warnings
 
 @dataclass(frozen=True, slots=True)
 class Rupture:
-    """One fitted puncture; `time_s` is after the first sample."""
+    """Result of one fitted puncture; `time_s` is the time of the rupture after the first sample."""
 
     recording: str
     time_s: float
@@ -45,7 +45,7 @@ class Rupture:
 
 
 class _Puncture:
-    """A fitted recording of one puncture, with its warnings."""
+    """Fit of a recording of one puncture, with warnings."""
 
     def __init__(self, recording: Recording) -> None:
         """Fit the puncture; raise FitError if the recording has no puncture that can be fitted."""
@@ -57,10 +57,9 @@ class _Puncture:
         force, place = preparation.force_of(recording), recording.position_m
         if place is None:
             raise FitError(f"{name}: no position along the normal, which this fit needs")
-        if np.ptp(place) > PUNCTURE_LIMITS.max_way_m:
-            limit_m = PUNCTURE_LIMITS.max_way_m
+        if np.ptp(place) > (max_m := PUNCTURE_LIMITS.max_depth_m):
             raise UnitError(
-                f"{name}: the position must span at most {limit_m:g} m, spans {np.ptp(place):.4g} m: is it in mm?"
+                f"{name}: the position must span at most {max_m:g} m, spans {np.ptp(place):.4g}: is it in mm?"
             )
         if not np.ptp(place) > 0:
             raise FitError(f"{name}: the position never moves: is it the wrong column?")
@@ -71,7 +70,7 @@ class _Puncture:
             raise _no_puncture(name)
         self._name, self._rate_hz, self._force, self._place = name, rate_hz, force, place
         self._at = at
-        """Last sample before the drop of the force."""
+        """Index of the last sample before the drop of the force."""
         self._half = max(1, round(PUNCTURE_LIMITS.max_drop_s * rate_hz / 2))
         self._smooth = preparation.running_mean(force, self._half)
         """(n,) force averaged over PUNCTURE_LIMITS.max_drop_s, N."""
@@ -84,12 +83,12 @@ class _Puncture:
     def _load(self) -> None:
         """Fit a line to force versus position before the rupture.
 
-        Sets the stiffness, the force without contact, the position of the surface (where the line has the force without
-        contact), and the load just before the drop. Raises FitError if the force does not follow the position.
+        Sets the stiffness, the force without contact, the position of the surface (where the line has this force), and
+        the load just before the drop. Raises FitError if the force does not follow the position.
         """
         at, half, smooth, name = self._at, self._half, self._smooth, self._name
-        least = max(0, at - 2 * half)
-        highest = float(np.median(self._force[least : max(at - half, least + 1)]))
+        first = max(0, at - 2 * half)
+        highest = float(np.median(self._force[first : max(at - half, first + 1)]))
         early = np.flatnonzero(smooth[: at - half] < PUNCTURE_LIMITS.min_load * highest)
         self._begin = int(early[-1]) + 1 if len(early) else 0
         loaded = np.arange(self._begin, at - half)
@@ -99,9 +98,9 @@ class _Puncture:
                 f"{name}: the force rises within {len(loaded)} samples, {PUNCTURE_LIMITS.min_loaded_samples} are "
                 "needed for a stiffness"
             )
-        way, pressed = self._place[loaded], self._force[loaded]
-        level, stiffness = map(float, np.polynomial.polynomial.polyfit(way - way.mean(), pressed, 1))
-        if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < PUNCTURE_LIMITS.min_r_squared:
+        path, pressed = self._place[loaded], self._force[loaded]
+        level, stiffness = map(float, np.polynomial.polynomial.polyfit(path - path.mean(), pressed, 1))
+        if float(np.corrcoef(path, pressed)[0, 1]) ** 2 < PUNCTURE_LIMITS.min_r_squared:
             raise FitError(f"{name}: the force does not follow the position before it drops: are columns swapped?")
         if stiffness < 0:
             raise UnitError(
@@ -112,17 +111,17 @@ class _Puncture:
                 f"{name}: the stiffness must be between {PUNCTURE_LIMITS.min_stiffness_n_per_m:g} and "
                 f"{PUNCTURE_LIMITS.max_stiffness_n_per_m:g} N/m, is {stiffness:.3g}: is a unit off by a thousand?"
             )
-        near = way < np.median(way)
-        below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
+        near = path < np.median(path)
+        below, above = (float(np.polyfit(path[part], pressed[part], 1)[0]) for part in (near, ~near))
         if abs(above - below) > PUNCTURE_LIMITS.max_stiffness_change * stiffness:
             self._warn(
-                "the stiffness changes on the way",
+                "the stiffness changes",
                 f"the stiffness changes from {below:.4g} to {above:.4g} N/m as the stylus presses in",
             )
         # The sensor may have an offset before the touch.
         rest, surface, quiet = 0.0, 0.0, np.zeros(0)
         for _ in range(3):
-            surface = float(way.mean()) - (level - rest) / stiffness
+            surface = float(path.mean()) - (level - rest) / stiffness
             free = np.flatnonzero(self._place[: self._begin] < surface)
             quiet = self._force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
             rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
@@ -136,25 +135,25 @@ class _Puncture:
     def _check_touch(self) -> None:
         """Add a warning if the membrane is softer at first than the fitted line.
 
-        The membrane is softer if the force reaches 2 % of the load (or six standard errors, if that is more) before
-        the line does, by more than 3 % of the depth of the rupture.
+        The membrane is softer if the force reaches 2 % of the load (or six standard errors, if larger) by more than 3 %
+        of the rupture's depth before the line does.
         """
         half = self._half
-        soft = max(PUNCTURE_LIMITS.soft_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
-        touched = np.flatnonzero(self._smooth[: self._at - half] - self._rest_n > soft)
+        touch_n = max(PUNCTURE_LIMITS.touch_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
+        touched = np.flatnonzero(self._smooth[: self._at - half] - self._rest_n > touch_n)
         if not len(touched):
             return
-        due = self._surface_m + soft / self._stiffness_n_per_m
+        due = self._surface_m + touch_n / self._stiffness_n_per_m
         early_m = due - float(np.mean(self._place[max(0, touched[0] - half) : touched[0] + half + 1]))
         if early_m > PUNCTURE_LIMITS.max_soft_depth * self._load_n / self._stiffness_n_per_m:
             self._warn(
                 "softer at first",
-                f"it is softer at first: the line of its stiffness begins at least {1e3 * early_m:.3g} mm after the "
+                f"the membrane is softer at first: the fitted line begins {1e3 * early_m:.3g} mm or more after the "
                 "touch, and the depth is counted from there",
             )
 
     def _ruptured(self) -> Rupture:
-        """Return the rupture; raise FitError if the stylus was withdrawn or there are two ruptures."""
+        """Return the result of the fit; raise FitError if the stylus was withdrawn or there are two ruptures."""
         at, half, force = self._at, self._half, self._force
         index = np.arange(max(0, at - 4 * half), at + 1)
         fitted = np.polynomial.polynomial.polyfit(index - at, self._place[index], 1)
@@ -165,24 +164,24 @@ class _Puncture:
         depth = float(fitted[0] + 0.5 * fitted[1]) - self._surface_m
         ringing = self._ringing()
         left = float(np.median(force[at + 2 * half : at + 6 * half])) - self._rest_n
-        if left > PUNCTURE_LIMITS.max_force_left * self._load_n:
+        if left > PUNCTURE_LIMITS.max_remaining_force * self._load_n:
             self._warn(
                 "force is left after the rupture",
                 f"{100 * left / self._load_n:.0f} % of the force is left after the rupture: something holds the "
                 "stylus, which the model does not have",
             )
-        # Another drop before or after, from 0.3 of the load, while the stylus advances, is a second rupture.
+        # Another drop from 0.3 of the load, while the stylus advances, is a second rupture.
         for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):
             other = _drop(part, self._rate_hz)
-            if other is None or not part[other] - self._rest_n > PUNCTURE_LIMITS.second_rupture * self._load_n:
+            if other is None or not part[other] - self._rest_n > PUNCTURE_LIMITS.min_second_drop_load * self._load_n:
                 continue
             if self._speed[start + other] > 0:
                 early, late = sorted((at, start + other))
                 places = f"{early / self._rate_hz:.4g} s and at {late / self._rate_hz:.4g} s"
                 raise FitError(f"{self._name}: ruptures at {places}: record each puncture in a separate file")
-        share = ringing.variance_accounted_for
-        if share < PUNCTURE_LIMITS.well_explained:
-            self.warnings.note(f"{self._name}: one mode explains {100 * share:.0f} % of the ringing")
+        fraction = ringing.variance_accounted_for
+        if fraction < PUNCTURE_LIMITS.well_explained:
+            self.warnings.note(f"{self._name}: one mode explains {100 * fraction:.0f} % of the ringing")
         return Rupture(
             recording=self._name,
             time_s=(at + 0.5) / self._rate_hz,
@@ -193,7 +192,7 @@ class _Puncture:
             amplitude_m_per_s2=abs(float(ringing.coefficients[0])),
             frequency_hz=float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi),
             decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
-            variance_accounted_for=share,
+            variance_accounted_for=fraction,
         )
 
     def _ringing(self) -> Ringing:
@@ -202,8 +201,8 @@ class _Puncture:
         first = max(0, at - round(PUNCTURE_LIMITS.before_rupture_s * rate_hz))
         end = min(len(seen), at + round(PUNCTURE_LIMITS.after_rupture_s * rate_hz))
         if np.mean(self._kept.replaced[begin:end]) > PUNCTURE_LIMITS.max_replaced:
-            most = f"{100 * PUNCTURE_LIMITS.max_replaced:g} %"
-            raise FitError(f"{name}: more than {most} of the samples from touch to end of ringing are impossible")
+            percent = 100 * PUNCTURE_LIMITS.max_replaced
+            raise FitError(f"{name}: over {percent:g} % of the samples from touch to end of ringing are impossible")
         if clipped(seen)[first:end].any():
             raise FitError(
                 f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record "
@@ -236,7 +235,7 @@ def _no_puncture(name: str) -> FitError:
 
 
 def _drop(force: Floats, rate_hz: float) -> int | None:
-    """Return the last sample before the force drops abruptly by half or more; None without such a drop."""
+    """Return the index of the last sample before the force drops at once by half or more; None without such a drop."""
     half = max(1, round(PUNCTURE_LIMITS.max_drop_s * rate_hz / 2))
     if len(force) < 20 * half:
         return None
@@ -252,11 +251,11 @@ def _drop(force: Floats, rate_hz: float) -> int | None:
 
 
 def _noise(force: Floats) -> float:
-    """Return the standard deviation of the noise of a force, from its differences."""
+    """Return the standard deviation of the noise of a force, N, from the differences between samples."""
     return 1.4826 * float(np.median(np.abs(np.diff(force)))) / math.sqrt(2)
 
 
-# ---- The fit: what the punctures have in common, and its verdict -----------------------------------------------------
+# ---- The fit: means over the punctures, and the verdict --------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -281,9 +280,10 @@ class PunctureFit(Fit):
 
 
 def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> PunctureFit:
-    """Fit at least two recordings of one puncture each.
+    """Fit a membrane to two or more recordings of one puncture each.
 
-    Unusable recordings are added to `excluded`. Raises FitError if fewer than two are left, or if they do not agree.
+    Unusable recordings are added to `excluded`. Raises FitError if fewer than two are left, or if their punctures do
+    not agree.
     """
     excluded = Exclusions() if excluded is None else excluded
     warnings = Warnings()
@@ -305,13 +305,9 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
     report_lines(ruptures, lines, warnings)
     warnings.check("punctures", len(ruptures))
 
+    low, high = PUNCTURE_LIMITS.min_amplitude_m_per_s2, PUNCTURE_LIMITS.max_amplitude_m_per_s2
     usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
-    preparation.check_range(
-        usual,
-        PUNCTURE_LIMITS.min_amplitude_m_per_s2,
-        PUNCTURE_LIMITS.max_amplitude_m_per_s2,
-        "usual amplitude of the ruptures",
-    )
+    preparation.check_range(usual, low, high, "median amplitude of the ruptures")
     named = {
         "depth_m": "rupture depth",
         "stiffness_n_per_m": "stiffness",
@@ -353,7 +349,7 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
 
 
 def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, warnings: Warnings) -> list[Rupture]:
-    """Fit each recording separately; return the ruptures, at least two, and add the warnings of their recordings.
+    """Fit each recording separately; return two or more ruptures, and add the warnings of their recordings.
 
     Raises FitError for fewer than two ruptures.
     """
@@ -380,22 +376,22 @@ def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rup
     ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
     usual = np.median(ringing, axis=0)
     off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > PUNCTURE_LIMITS.max_outlier_ratio
-    if np.count_nonzero(off) > PUNCTURE_LIMITS.max_outliers * len(ruptures):
+    if np.count_nonzero(off) > PUNCTURE_LIMITS.max_outlier_fraction * len(ruptures):
         return ruptures
     for each, far in zip(ruptures, off, strict=True):
         if far:
             excluded.add(
                 each.recording,
-                f"its ringing has {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a decay rate of "
-                f"{each.decay_rate_per_s:.3g} 1/s, the others have {usual[0]:.3g}, {usual[1]:.4g} and {usual[2]:.3g}",
+                f"the ringing has {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a decay rate of "
+                f"{each.decay_rate_per_s:.3g} 1/s, usual are {usual[0]:.3g}, {usual[1]:.4g} and {usual[2]:.3g}",
             )
     return [each for each, far in zip(ruptures, off, strict=True) if not far]
 
 
 def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, warnings: Warnings) -> Estimate | None:
-    """Return the slope of ringing amplitude with speed, or None for fewer than four punctures or nearly equal speeds.
+    """Return the slope of amplitude with speed, or None for fewer than four punctures or nearly equal speeds.
 
-    The material has no such slope, so a significant one downgrades the verdict.
+    A material has no such slope, so a significant one downgrades the verdict.
     """
     speed = np.array([each.speed_m_per_s for each in ruptures])
     if (

@@ -48,12 +48,12 @@ from hapticd.base.yaml_source import load_bytes, printable
 from hapticd.config.document_kinds import refuse_documents
 
 Kind: TypeAlias = Literal["tap", "grooves", "texture", "puncture"]
-"""Kind of a recording."""
+"""Kind of a recording, and of the fit for it."""
 Rate: TypeAlias = Annotated[float, Field(ge=MIN_RECORDING_RATE_HZ, le=MAX_RECORDING_RATE_HZ)]
 
 
 class RecordingError(HapticdError):
-    """A recording cannot be used; the message is one line with its name and the reason."""
+    """A recording cannot be used; the message is one line with the recording's name and the reason."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(f"{name}: {reason}")
@@ -65,7 +65,7 @@ class NoRecordingError(RecordingError):
 
 
 class RecordedColumn(Model):
-    """Column and unit of a quantity in a file."""
+    """Column and unit of a quantity in the file of a recording."""
 
     column: str | int = Field(description="Its name; of a file without names its number, from 1.")
     unit: str | None = Field(default=None, description="Its unit; the SI unit without it.")
@@ -73,7 +73,7 @@ class RecordedColumn(Model):
 
 
 class RecordingSidecar(Model):
-    """The YAML file of a recording."""
+    """The YAML file that describes a recording."""
 
     rate_hz: Rate | None = Field(default=None, description="Sampling rate; without it there is a column of times.")
     columns: dict[Quantity, RecordedColumn] = Field(
@@ -114,7 +114,7 @@ class Recording:
 
 
 def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording:
-    """Read a recording; `known_as` replaces its path in the result and in errors.
+    """Read the recording at this path; `known_as` replaces the path in the result and in errors.
 
     Raises RecordingError (one line), or InvalidError for faults in its YAML file or a YAML file of another command.
     """
@@ -142,7 +142,7 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
     except ValueError as error:
         raise RecordingError(shown, str(error)) from None
     except MemoryError:
-        raise RecordingError(shown, "not enough memory: cut it into several files") from None
+        raise RecordingError(shown, "not enough memory: cut the recording into several files") from None
     speed: float | Floats | None = even.get("speed")
     if isinstance(speed, np.ndarray) and speed.size == 1:
         speed = float(speed[0])
@@ -164,7 +164,7 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
 
 
 def npz_of(recording: Recording) -> bytes:
-    """Return a recording as the bytes of a .npz file, which `load` reads without a YAML file."""
+    """Return the bytes of a .npz file of a recording, which `load` reads without a YAML file."""
     arrays: dict[str, Floats] = {"rate_hz": np.array(recording.rate_hz)}
     for name in COLUMN_OF.values():
         values = getattr(recording, name, None)
@@ -269,8 +269,8 @@ def _quantities(
         unit = column.unit if column.unit is not None else table.units.get(places[quantity], "")
         if unit and _spelt(unit) not in UNITS_OF[quantity]:
             raise ValueError(
-                f"unknown unit of {quantity} {shown_name(unit)}, known: {', '.join(UNITS_OF[quantity])}: name it in "
-                f"{where}"
+                f"unknown unit of {quantity} {shown_name(unit)}, known: {', '.join(UNITS_OF[quantity])}: set the "
+                f"unit in {where}"
             )
         factor = column.scale * (UNITS_OF[quantity][_spelt(unit)] if unit else 1.0)
         with np.errstate(all="ignore"):

@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _CELL_INCHES: Final = (5.2, 3.6)
-"""Width and height of a picture including title and labels."""
+"""Width and height of a picture with title and labels, in inches."""
 _GAP_INCHES: Final = (0.85, 1.05)
-"""Width and height that title and labels take within _CELL_INCHES."""
+"""Width and height of title and labels within _CELL_INCHES."""
 _MARGIN_INCHES: Final = (0.3, 0.2)
 """Margins of the page, left and right together, and above and below together."""
 MAX_LABELLED_DECADES: Final = 3.5
-"""A logarithmic axis that spans more decades has labels at powers of ten only."""
+"""A logarithmic axis over more decades has labels at powers of ten only."""
 LABELS_BY_DECADES: Final = (
     (0.35, (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)),
     (0.7, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)),
     (1.5, (1.0, 2.0, 5.0)),
     (MAX_LABELLED_DECADES, (1.0, 3.0)),
 )
-"""Pairs (decades, labels): a logarithmic axis that spans at most that many decades has these labels in each decade."""
+"""Pairs (decades, labels): a logarithmic axis over this number of decades or fewer has these labels in each decade."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Curve:
     y: Floats
     points: bool = False
     crossed: bool = False
-    """Draw the points as crosses: they are not used."""
+    """Whether the points, which are not used, are drawn as crosses."""
     dashed: bool = False
     color: str | None = None
     """Name in matplotlib; None is the next color of the cycle."""
@@ -94,7 +94,7 @@ class Page:
 
 
 def require(path: str) -> None:
-    """Raise HapticdError (one line) if matplotlib is missing, or if a report cannot have this file name."""
+    """Raise HapticdError (one line) if matplotlib is missing, or if a report cannot have the file name `path`."""
     require_matplotlib("a report", "fit")
     if not path.lower().endswith((".html", ".png")):
         raise HapticdError(f"{path}: a report must end in .html or .png")
@@ -114,14 +114,14 @@ def drawn(path: str, page: Page) -> bytes:
     return fit_page(page.title, body).encode(errors="backslashreplace")
 
 
-def thinned(x: Floats, y: Floats, most: int = 4000) -> tuple[Floats, Floats]:
-    """Return about `most` points of a line: the smallest and the largest value of each of its sections.
+def thinned(x: Floats, y: Floats, max_points: int = 4000) -> tuple[Floats, Floats]:
+    """Return about `max_points` points of a line: the smallest and the largest value of each section of the line.
 
     A section that contains a gap (NaN) keeps the gap.
     """
-    if len(x) <= most:
+    if len(x) <= max_points:
         return x, y
-    section = math.ceil(2 * len(x) / most)
+    section = math.ceil(2 * len(x) / max_points)
     pieces = [(start, y[start : start + section]) for start in range(0, len(x), section)]
     kept = np.unique([start + end(piece) for start, piece in pieces for end in (np.argmin, np.argmax)])
     return x[kept], y[kept]
@@ -187,9 +187,9 @@ def _draw(axes: Axes, panel: Panel) -> None:
         if curve.low is not None and curve.high is not None:
             axes.fill_between(curve.x, curve.low, curve.high, color=color, alpha=0.25, lw=0, label="95 %")
     if panel.logarithmic and panel.curves:
-        largest = max(float(np.nanmax(curve.y)) for curve in panel.curves)
-        if largest > 0:
-            axes.set_ylim(largest * 1e-8, largest * 3)
+        highest = max(float(np.nanmax(curve.y)) for curve in panel.curves)
+        if highest > 0:
+            axes.set_ylim(highest * 1e-8, highest * 3)
         _label_logarithmic(axes)
     if panel.counted:
         from matplotlib.ticker import MaxNLocator
@@ -216,7 +216,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
 
 
 def _label_logarithmic(axes: Axes) -> None:
-    """Label a logarithmic axis: below MAX_LABELLED_DECADES with numbers such as 1, 2, 5, else with powers of ten."""
+    """Label logarithmic axes: below MAX_LABELLED_DECADES with numbers such as 1, 2, 5, else with powers of ten."""
     from matplotlib.ticker import NullLocator
 
     axes.yaxis.set_minor_locator(NullLocator())  # there would be hundreds, which are slow to draw
@@ -224,7 +224,7 @@ def _label_logarithmic(axes: Axes) -> None:
     decades = math.log10(high / low) if low > 0 else math.inf
     if decades > MAX_LABELLED_DECADES:
         return
-    plain_decades(axes.xaxis, next(steps for most, steps in LABELS_BY_DECADES if decades <= most))
+    plain_decades(axes.xaxis, next(steps for limit, steps in LABELS_BY_DECADES if decades <= limit))
     # matplotlib adds labels beyond either end, which would extend the axis.
     axes.set_xlim(low, high)
 
@@ -232,7 +232,7 @@ def _label_logarithmic(axes: Axes) -> None:
 def figure_rows(
     figures: Mapping[str, Estimate], plain: Mapping[str, float] = MappingProxyType({})
 ) -> list[tuple[str, str, str, str]]:
-    """Return name, value, interval and unit of each fitted value as text; the values in `plain` have no interval."""
+    """Return name, value, interval and unit of each fitted value, as text; the values in `plain` have no interval."""
     rows = [
         (name, f"{each.value:.6g}", f"{each.low:.6g} to {each.high:.6g}", unit_of(name) or "")
         for name, each in figures.items()
@@ -241,7 +241,7 @@ def figure_rows(
 
 
 def fit_page(title: str, body: str) -> str:
-    """Return a page with this title, this HTML body, and the version of hapticd."""
+    """Return an HTML page with this title, this body, and the version of hapticd."""
     return html_page.page(title, f"{body}\n<p>hapticd {html.escape(__version__)}</p>")
 
 

@@ -42,7 +42,7 @@ class Fit(ABC):
 
 
 def estimates(fit: Fit) -> dict[str, Estimate]:
-    """Return the fitted values that have an interval, by name, which is `field.name` in a nested dataclass."""
+    """Return the fitted values that have an interval, by name; those in a nested dataclass are named `field.name`."""
     found: dict[str, Estimate] = {}
     for name, value in _fields(fit).items():
         if isinstance(value, Estimate):
@@ -54,7 +54,7 @@ def estimates(fit: Fit) -> dict[str, Estimate]:
 
 
 def plain_figures(fit: Fit) -> dict[str, float]:
-    """Return the fitted values that have no interval, by name."""
+    """Return the fitted values that have no interval and are finite, by name."""
     return {name: value for name, value in _fields(fit).items() if isinstance(value, float) and math.isfinite(value)}
 
 
@@ -69,7 +69,7 @@ def fields_of(made: object, *names: str) -> dict[str, Json]:
 
 
 def plain(value: object) -> object:
-    """Return dataclasses, tuples and arrays as plain data for JSON."""
+    """Return a value of dataclasses, tuples, maps and arrays as plain data for JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         as_dict = getattr(value, "to_dict", None)
         return fields_of(value) if as_dict is None else as_dict()

@@ -4,8 +4,8 @@
 
 All modes begin at the onset t_0, which is fitted. The straight line is gravity and drift. If the sensor is known, its
 response to the modes (sensor.py) is fitted instead of the modes. For given B, w and t_0 the best A and line are linear
-least squares, so the search is over B, w and t_0 alone (Golub and Pereyra, 1973, with Kaufman's Jacobian, 1975). It
-begins at the best point of a grid and takes Levenberg-Marquardt steps.
+least squares, so the search is over B, w and t_0 alone (Golub and Pereyra, 1973, with Kaufman's Jacobian, 1975). The
+search begins at the best point of a grid and takes Levenberg-Marquardt steps.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ frequency, and decays without oscillation."""
 
 @dataclass(frozen=True, slots=True)
 class Ringing:
-    """The fitted modes, sorted by falling energy."""
+    """Modes fitted to a section of acceleration, sorted by falling energy."""
 
     coefficients: Floats
     """(modes,) A, m/s^2."""
@@ -55,7 +55,7 @@ class Ringing:
     """
 
     def of_modes(self, which: Sequence[int]) -> Ringing:
-        """Return these modes in this order; residual and onset remain those of the fit of all modes."""
+        """Return the modes of these indices, in this order; residual and onset remain those of the fit of all modes."""
         modes = len(self.coefficients)
         places = [*which, *(modes + mode for mode in which), *(2 * modes + mode for mode in which), 3 * modes]
         return dataclasses.replace(
@@ -87,12 +87,12 @@ def fit_ringing(
     """Fit `modes` decaying sinusoids to acceleration (n,) in m/s^2, sampled at `rate_hz`.
 
     The onset is searched near `onset_s`, by default at the first large sample. If a fit `start` is given, the search
-    starts there, not at a grid. The modes of the result do not include the response of the `sensor`. Raises FitError if
-    the acceleration is constant or has too few samples.
+    starts at its modes and onset. The modes of the result do not include the response of the `sensor`. Raises FitError
+    if the acceleration is constant or has too few samples.
     """
-    least = max(RINGING_LIMITS.min_samples, 2 * (3 * modes + 3))
-    if len(acceleration) < least:
-        raise FitError(f"{len(acceleration)} samples are too few for {modes} modes: needs {least}")
+    needed = max(RINGING_LIMITS.min_samples, 2 * (3 * modes + 3))
+    if len(acceleration) < needed:
+        raise FitError(f"{len(acceleration)} samples are too few for {modes} modes: needs {needed}")
     search = _Search(acceleration, rate_hz, sensor if sensor is not None and sensor.poles else None)
     if start is None:
         point = search.begin(onset_s)
@@ -131,12 +131,12 @@ class _Search:
         return self._best(above, onset_s, np.empty(0))
 
     def joined(self, point: Floats) -> Floats:
-        """Return the point (modes and onset) with one more mode, which fits the residual best."""
+        """Return the point (modes and onset) with one more mode, the one that fits the residual best."""
         left = self._solved(point)[1]
         return self._best(left, float(point[-1]), point)
 
     def _best(self, signal: Floats, onset_s: float, earlier: Floats) -> Floats:
-        """Return the best point of a grid for one more mode, in addition to the modes of the point `earlier`."""
+        """Return the point `earlier` with one more mode, the best mode of a grid for this signal (n,)."""
         first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - RINGING_LIMITS.min_samples // 2)
         rings = signal[first:] - signal[first:].mean()
         power = np.abs(np.fft.rfft(rings, 8 * len(rings))) ** 2
@@ -158,8 +158,8 @@ class _Search:
     def _responses(self, point: Floats) -> tuple[int, list[tuple[Complexes, Complexes, Complexes]]]:
         """Return the first sample after the onset, and for every mode three arrays from this sample on (sensor.py).
 
-        The arrays are the response y, whose imaginary part is the acceleration, and the derivatives of y by the pole
-        -B + i w and by time.
+        The arrays are the response y, whose imaginary part is the acceleration, and its derivatives with respect to the
+        pole -B + i w and to time.
         """
         modes = len(point) // 2
         since = self._time_s - point[-1]
@@ -175,13 +175,16 @@ class _Search:
         return first, found
 
     def _solved(self, point: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return coefficients (modes + 2,), residual (n,), columns (n, modes + 2) and their orthonormal basis."""
+        """Return the linear fit at a point.
+
+        Returns coefficients (modes + 2,), residual (n,), columns (n, modes + 2) and the columns' orthonormal basis.
+        """
         first, responses = self._responses(point)
         modes = len(responses)
         columns = np.empty((len(self._measured), modes + 2))
         columns[:first, :modes] = 0.0
-        for mode, (heard, _, _) in enumerate(responses):
-            columns[first:, mode] = heard.imag
+        for mode, (response, _, _) in enumerate(responses):
+            columns[first:, mode] = response.imag
         columns[:, modes:] = self._line
         norms = np.sqrt(np.sum(columns**2, axis=0))
         if not (norms > 0).all():
@@ -200,7 +203,7 @@ class _Search:
         return float(np.sum(self._solved(point)[1] ** 2))
 
     def _slopes(self, point: Floats, coefficients: Floats) -> Floats:
-        """Return the derivatives of the model by the coordinates of the point, (n, 2 modes + 1)."""
+        """Return the derivatives (n, 2 modes + 1) of the model with respect to the coordinates of the point."""
         modes = len(point) // 2
         first, responses = self._responses(point)
         slopes = np.zeros((len(self._measured), 2 * modes + 1))
@@ -213,9 +216,9 @@ class _Search:
     # ---- The search -----------------------------------------------------------------------------------------------
 
     def descend(self, point: Floats) -> Floats:
-        """Return the local minimum of the squared residual, by Levenberg-Marquardt steps from `point`."""
+        """Return the point with the least squared residual near `point`, by Levenberg-Marquardt steps."""
         coefficients, left, _, base = self._solved(point)
-        least = float(left @ left)
+        lowest = float(left @ left)
         damping = 1e-3
         for _ in range(60):
             slopes = self._slopes(point, coefficients)
@@ -230,33 +233,33 @@ class _Search:
                 tried = self._bounded(point, step)
                 solved = self._solved(tried)
                 squares = float(solved[1] @ solved[1])
-                if squares < least:
-                    gained = least - squares
-                    point, least = tried, squares
+                if squares < lowest:
+                    gained = lowest - squares
+                    point, lowest = tried, squares
                     coefficients, left, _, base = solved
                     damping = max(1e-12, damping / 10)
                     break
                 damping *= 6
-            if gained <= 1e-9 * least:
+            if gained <= 1e-9 * lowest:
                 break
         return point
 
     def at_the_onset(self, point: Floats) -> Floats:
-        """Return the point, or a better one whose onset differs by half a period or a period.
+        """Return the point, or a better point whose onset differs by half a period or a period.
 
         At half a period the ringing begins with the opposite sign, at a period with the same sign.
         """
-        least = self._squares(point)
+        lowest = self._squares(point)
         half_s = math.pi / math.exp(float(point[len(point) // 2]))
         for turned in (-2, -1, 1, 2):
             tried = point.copy()
             tried[-1] += turned * half_s
-            if not 0 <= tried[-1] < self._time_s[-2] or self._squares(tried) >= least:
+            if not 0 <= tried[-1] < self._time_s[-2] or self._squares(tried) >= lowest:
                 continue
             tried = self.descend(tried)
             squares = self._squares(tried)
-            if squares < least:
-                point, least = tried, squares
+            if squares < lowest:
+                point, lowest = tried, squares
         return point
 
     def _bounded(self, point: Floats, step: Floats) -> Floats:
@@ -281,28 +284,28 @@ class _Search:
         noise = math.sqrt(float(left @ left) / (len(left) - jacobian.shape[1]))
         spread = np.linalg.pinv((jacobian / norms).T @ (jacobian / norms), rcond=1e-14) * noise**2
         spread /= np.outer(norms, norms)
-        by_share = np.argsort(-np.abs(coefficients[:modes]) / np.sqrt(decay))
-        order = np.concatenate((by_share, modes + by_share, 2 * modes + by_share, [3 * modes]))
+        by_energy = np.argsort(-np.abs(coefficients[:modes]) / np.sqrt(decay))
+        order = np.concatenate((by_energy, modes + by_energy, 2 * modes + by_energy, [3 * modes]))
         rings = (self._time_s >= point[-1]) & (
             self._time_s <= point[-1] + RINGING_LIMITS.judged_decay_times / decay.min()
         )
         above = self._measured[rings] - columns[rings][:, modes:] @ coefficients[modes:]
-        heard = float(above @ above)
+        energy = float(above @ above)
         return Ringing(
-            coefficients=coefficients[by_share],
-            decay_rate_per_s=decay[by_share],
-            angular_frequency_rad_per_s=angular[by_share],
+            coefficients=coefficients[by_energy],
+            decay_rate_per_s=decay[by_energy],
+            angular_frequency_rad_per_s=angular[by_energy],
             onset_s=float(point[-1]),
             covariance=spread[np.ix_(order, order)],
             residual=left,
-            variance_accounted_for=1.0 - float(left[rings] @ left[rings]) / heard if heard > 0 else 0.0,
+            variance_accounted_for=1.0 - float(left[rings] @ left[rings]) / energy if energy > 0 else 0.0,
             noise_m_per_s2=noise,
             lack_of_fit=self._lack_of_fit(point, float(coefficients[0]), jacobian / norms, left)
             if modes == 1
             else (np.empty(0), np.empty((0, 0))),
         )
 
-    def _lack_of_fit(self, point: Floats, coefficient: float, taken: Floats, left: Floats) -> tuple[Floats, Floats]:
+    def _lack_of_fit(self, point: Floats, coefficient: float, jacobian: Floats, left: Floats) -> tuple[Floats, Floats]:
         since = np.maximum(self._time_s - point[-1], 0.0)
         begun = self._time_s >= point[-1]
         decay, angular = math.exp(point[0]), math.exp(point[1])
@@ -311,6 +314,6 @@ class _Search:
             wave = coefficient * begun * np.exp((-slower * decay + 1j * faster * angular) * since)
             shapes += [wave.real, wave.imag] if faster else [wave.real]
         columns = np.column_stack(shapes)
-        base = np.linalg.qr(taken)[0]
+        base = np.linalg.qr(jacobian)[0]
         columns -= base @ (base.T @ columns)
         return columns.T @ left, columns.T @ columns

@@ -1,9 +1,9 @@
 """Spectral lines, hum or other tones, with the fraction of the power that each holds.
 
-In a periodogram of the complete recording with Hann's window, the power of noise is exponentially distributed. Its
-mean is estimated from the median of n neighbouring bins. A bin belongs to a line if noise has its power in any of the N
-bins with a probability of at most p = LINE_LIMITS.max_chance: power/mean exceeds the quantile 1 - p/N of the F
-distribution with 2 and 2 n degrees of freedom. Half of several recordings must have the line, with a lower
+In a periodogram of the complete recording with Hann's window, the power of noise is exponentially distributed. The mean
+power of the noise is estimated from the median of n neighbouring bins. A bin belongs to a line if power/mean exceeds
+the quantile 1 - p/N of the F distribution with 2 and 2 n degrees of freedom. Noise then exceeds it in any of the N bins
+with a probability of at most p = LINE_LIMITS.max_chance. Half of several recordings must have the line, with a lower
 threshold than for a single recording. A ringing is broader, and is not found.
 """
 
@@ -28,18 +28,18 @@ class SpectralLine:
     """A tone and its fraction of the power above LINE_LIMITS.min_frequency_hz."""
 
     frequency_hz: float
-    share: float
+    fraction: float
 
 
 def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the spectral lines of one recording (n,), the strongest first.
+    """Return the spectral lines of the acceleration (n,) of one recording, the strongest first.
 
     `needed` is the number of recordings that must have a line; a larger number lowers the threshold of each recording.
     """
     from scipy.special import fdtri
 
     count = len(acceleration)
-    # In a shorter recording a line looks like a ringing.
+    # In a shorter recording a line cannot be separated from a ringing.
     if count < LINE_LIMITS.min_recording_s * rate_hz:
         return []
     width = rate_hz / count
@@ -48,7 +48,7 @@ def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> lis
     total = float(power[frequency >= LINE_LIMITS.min_frequency_hz].sum())
     if not total > 0:
         return []
-    # A line takes five bins of Hann's window. The noise is measured beyond its skirts, which take as many again.
+    # A line takes five bins of Hann's window. The noise is measured from half a hertz beyond these bins on.
     inner = 2 + math.ceil(LINE_LIMITS.max_same_hz / width)
     outer = inner + max(8, math.ceil(LINE_LIMITS.noise_band_hz / width))
     neighbours = 2 * (outer - inner)
@@ -64,31 +64,31 @@ def spectral_lines(acceleration: Floats, rate_hz: float, needed: int = 1) -> lis
     left = power.copy()
     left[(frequency < LINE_LIMITS.min_frequency_hz) | (np.arange(len(power)) < outer)] = 0.0
     left[max(0, len(power) - outer) :] = 0.0
-    for _ in range(10 * LINE_LIMITS.max_named):
+    for _ in range(10 * LINE_LIMITS.max_lines):
         place = int(np.argmax(left))
         here = slice(place - 2, place + 3)
-        if left[place] <= 0 or power[here].sum() < LINE_LIMITS.min_share * total:
+        if left[place] <= 0 or power[here].sum() < LINE_LIMITS.min_power_fraction * total:
             break
         about = np.concatenate((power[place - outer : place - inner], power[place + inner + 1 : place + outer + 1]))
         # Mean of an exponential distribution from its median, which other lines do not change.
         mean = float(np.median(about)) / math.log(2)
-        share = (float(power[here].sum()) - 5 * mean) / total
-        if power[place] > factor * mean and share > LINE_LIMITS.min_share:
+        fraction = (float(power[here].sum()) - 5 * mean) / total
+        if power[place] > factor * mean and fraction > LINE_LIMITS.min_power_fraction:
             near = slice(place - 1, place + 2)
             middle = float(power[near] @ frequency[near]) / float(power[near].sum())
-            found.append(SpectralLine(middle, share))
+            found.append(SpectralLine(middle, fraction))
         left[place - inner : place + inner + 1] = 0.0
-    return sorted(found, key=lambda line: -line.share)
+    return sorted(found, key=lambda line: -line.fraction)
 
 
 def lines_in_residual(acceleration: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
-    """Return the spectral lines in the residual of a recording (n,), with their fraction of the power of the recording.
+    """Return the spectral lines in the residual of a recording (n,), with their fractions of the recording's power.
 
-    Samples where `modelled` is NaN are not used.
+    Samples where `modelled` is NaN are not used. `needed` is that of `spectral_lines`.
     """
     left = np.where(np.isfinite(modelled), acceleration - modelled, 0.0)
     part = float(np.var(left) / np.var(acceleration)) if np.var(acceleration) > 0 else 0.0
-    return [SpectralLine(line.frequency_hz, part * line.share) for line in spectral_lines(left, rate_hz, needed)]
+    return [SpectralLine(line.frequency_hz, part * line.fraction) for line in spectral_lines(left, rate_hz, needed)]
 
 
 def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]]) -> list[SpectralLine]:
@@ -107,9 +107,9 @@ def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[Sp
         every = every[len(alike) :]
         if len({place for place, _ in alike}) < needed:
             continue
-        weight = sum(line.share for _, line in alike)
-        middle = sum(line.frequency_hz * line.share for _, line in alike) / weight
-        if weight / count > LINE_LIMITS.min_share:
+        weight = sum(line.fraction for _, line in alike)
+        middle = sum(line.frequency_hz * line.fraction for _, line in alike) / weight
+        if weight / count > LINE_LIMITS.min_power_fraction:
             found.append(SpectralLine(middle, weight / count))
     return found
 
@@ -123,16 +123,15 @@ def report_lines(
 
 
 def described(lines: Sequence[SpectralLine]) -> str:
-    """Return a sentence about one or more spectral lines."""
+    """Return a warning about one or more spectral lines, as text."""
     # Rounded to 0.1 Hz, as a bin is a fraction of a hertz wide.
     hertz = {line: f"{round(line.frequency_hz, 1):.10g} Hz" for line in lines}
     if len(lines) == 1:
-        what = f"a line at {hertz[lines[0]]} holds {100 * lines[0].share:.2g} % of the power"
+        what = f"a line at {hertz[lines[0]]} holds {100 * lines[0].fraction:.2g} % of the power"
     else:
-        loudest = sorted(
-            sorted(lines, key=lambda line: -line.share)[: LINE_LIMITS.max_named], key=lambda line: line.frequency_hz
-        )
-        shares = ", ".join(f"{hertz[line]} {100 * line.share:.2g} %" for line in loudest)
-        more = f" and {len(lines) - LINE_LIMITS.max_named} more" if len(lines) > LINE_LIMITS.max_named else ""
-        what = f"lines hold {100 * sum(line.share for line in lines):.2g} % of the power ({shares}{more})"
+        loudest = sorted(lines, key=lambda line: -line.fraction)[: LINE_LIMITS.max_lines]
+        loudest.sort(key=lambda line: line.frequency_hz)
+        fractions = ", ".join(f"{hertz[line]} {100 * line.fraction:.2g} %" for line in loudest)
+        more = f" and {len(lines) - len(loudest)} more" if len(lines) > len(loudest) else ""
+        what = f"lines hold {100 * sum(line.fraction for line in lines):.2g} % of the power ({fractions}{more})"
     return f"{what}: hum or another tone, which changes the figures"

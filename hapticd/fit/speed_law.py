@@ -5,7 +5,7 @@ The law with the lowest AICc is chosen (Akaike's criterion, corrected for few po
     AICc = n ln(S/n) + 2 k + 2 k (k + 1)/(n - k - 1),
 
 S is the weighted sum of squared residuals of n taps, k the number of parameters including the scale of the scatter. All
-laws have the same weights, from the noise and a scatter proportional to the amplitude. The line is preferred unless
+laws have the same weights, from the noise and a scatter proportional to the amplitude. The line is chosen unless
 another law has an AICc lower by SPEED_LAW_LIMITS.min_aicc_gain and differs from the line by SPEED_LAW_LIMITS.min_bend.
 """
 
@@ -40,7 +40,7 @@ Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
 
 
 class Tap(Protocol):
-    """One tap, fitted by a mode or a waveform."""
+    """A tap fitted by a mode or a waveform."""
 
     @property
     def recording(self) -> str:
@@ -76,7 +76,7 @@ def check_speeds(taps: Sequence[Tap]) -> None:
 
 
 def check_slope(slope: Estimate) -> None:
-    """Raise FitError if the amplitude does not rise with the speed."""
+    """Raise FitError if the slope of amplitude with speed is not significantly positive."""
     if not slope.low > 0:
         raise FitError(
             f"the amplitude does not rise with the speed: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
@@ -84,18 +84,18 @@ def check_slope(slope: Estimate) -> None:
         )
 
 
-def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
+def check_hardness(slope_per_s: float, angular_frequency: float, name: str) -> None:
     """Raise FitError if the ratio of the slope to the angular frequency is impossible for a tap.
 
     The ratio is 1 for a mass that rings elastically, and 0.07 to 0.87 for the seven materials of Okamura et al. 1998.
-    `named` is the name of the angular frequency in the error.
+    `name` is the name of the angular frequency in the error.
     """
-    softest, hardest = SPEED_LAW_LIMITS.min_slope_to_angular, SPEED_LAW_LIMITS.max_slope_to_angular
-    ratio = slope_per_s / angular
+    softest, hardest = SPEED_LAW_LIMITS.min_slope_to_angular_frequency, SPEED_LAW_LIMITS.max_slope_to_angular_frequency
+    ratio = slope_per_s / angular_frequency
     if not softest <= ratio <= hardest:
         raise FitError(
             f"the ratio of amplitude to speed is {slope_per_s:.4g} 1/s: must be between {softest:g} and {hardest:g} "
-            f"times {named}, is {ratio:.2g} times: is the acceleration or the speed off by a thousand (mm, g)?"
+            f"times {name}, is {ratio:.2g} times: is the acceleration or the speed off by a thousand (mm, g)?"
         )
 
 
@@ -104,13 +104,13 @@ def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """Power law of a tap's amplitude: coefficient times v^exponent, with the approach speed v in m/s."""
+    """Power law of a tap's amplitude: the coefficient times v^exponent, with the approach speed v in m/s."""
 
     exponent: Estimate
     coefficient_m_per_s2: Estimate
     """Amplitude at 1 m/s."""
     points: Amplitudes
-    """Points of the law for the material, which interpolates linearly between them."""
+    """Points of the law, between which a material interpolates linearly."""
     off: float
     """Largest error of linear interpolation between the first point and the last, as a fraction of the law."""
 
@@ -126,7 +126,7 @@ class Power:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """The chosen law of amplitude versus approach speed, and the alternatives."""
+    """Chosen law of amplitude versus approach speed, and the alternatives."""
 
     kind: LawKind
     above: Mapping[LawKind, float]
@@ -134,7 +134,7 @@ class Law:
     power: Power | None
     """The power law, or None if none fits the taps."""
     table: Amplitudes
-    """Law by a table: amplitudes at several speeds, interpolated linearly between them and down to 0 at rest."""
+    """The law as a table: amplitudes at several speeds, interpolated linearly between them and down to 0 at rest."""
     r_squared: float
     """r^2 of the chosen law, about the weighted mean."""
     left: float
@@ -156,7 +156,7 @@ class Law:
 
     @property
     def why(self) -> str:
-        """The reason for the chosen law, in words: by how much the AICc of the other laws is higher."""
+        """Reason for the chosen law, in words: the differences of the other laws' AICc from that of the chosen law."""
         names: Mapping[LawKind, str] = {"line": "a line", "power": "a power law", "table": "a table"}
         others = " and ".join(f"{above:.1f} for {names[kind]}" for kind, above in self.above.items() if above > 0)
         if self.kind == "line" and self.above.get("line", 0.0) > 0:
@@ -179,9 +179,9 @@ class Law:
 
 
 def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind | None = None) -> Law:
-    """Return the law of the taps' amplitudes (n,), m/s^2, versus their approach speeds, m/s.
+    """Return the law of the taps' amplitudes (n,), m/s^2, versus their approach speeds (n,), m/s.
 
-    `variances` are those of the amplitudes due to noise. If `only` is given, that law is not compared with others.
+    `variances` (n,) are those of the amplitudes due to noise. The law of the kind `only`, if given, is always chosen.
     """
     weights = _weights(speeds, amplitudes, variances)
 
@@ -201,12 +201,12 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
     # Few taps or similar speeds give tables with fewer speeds than requested, and some of them twice.
     tried = (table(speeds, amplitudes, variances, count) for count in range(2, SPEED_LAW_LIMITS.max_table_speeds + 1))
     tables = list({len(points): points for points in tried}.values())
-    chosen_table, least = tables[-1], math.inf
+    chosen_table, lowest = tables[-1], math.inf
     for points in tables:
         found = _along(points, speeds)
         reached = criterion(found, len(points))
-        if reached < least:
-            chosen_table, least = points, reached
+        if reached < lowest:
+            chosen_table, lowest = points, reached
             laid["table"] = (found, reached)
     known = {kind: value for kind, (_, value) in laid.items() if math.isfinite(value)} or {"line": 0.0}
     kind: LawKind = min(known, key=lambda each: known[each])
@@ -256,9 +256,9 @@ def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:
 
 
 def knots_of(speeds: Floats, count: int) -> Floats:
-    """Return `count` speeds from the slowest to the fastest, with about equally many taps between them.
+    """Return `count` speeds from the slowest to the fastest, with nearly equal numbers of taps between them.
 
-    Neighbouring speeds that differ by less than 2 % count as one.
+    Of neighbouring speeds that differ by less than 2 %, only the lower one is returned.
     """
     order = np.sort(speeds)
     found: list[float] = []
@@ -269,10 +269,10 @@ def knots_of(speeds: Floats, count: int) -> Floats:
 
 
 def table(
-    speeds: Floats, amplitudes: Floats, variances: Floats, most: int = SPEED_LAW_LIMITS.max_table_speeds
+    speeds: Floats, amplitudes: Floats, variances: Floats, max_speeds: int = SPEED_LAW_LIMITS.max_table_speeds
 ) -> Amplitudes:
-    """Return the best fitting table of amplitudes versus speed, with at most `most` speeds and no amplitude below 0."""
-    knots = knots_of(speeds, min(most, max(2, len(speeds) - 2)))
+    """Return the table that fits amplitudes versus speed best, with at most `max_speeds` and no amplitude below 0."""
+    knots = knots_of(speeds, min(max_speeds, max(2, len(speeds) - 2)))
     nodes = np.concatenate(([0.0], knots))
     hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
     # Negative amplitudes are set to 0, and the others are fitted again.
@@ -303,7 +303,7 @@ def _along(points: Amplitudes, speeds: Floats) -> Floats:
 
 
 def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | None:
-    """Return the power law, by Gauss-Newton steps from a line through the logarithms, or None if it does not fit."""
+    """Return the power law, by Gauss-Newton steps from a line through the logarithms, or None if none fits."""
     if len(speeds) < 3 or not (amplitudes > 0).all():
         return None
     middle = math.exp(float(np.mean(np.log(speeds))))
@@ -339,20 +339,20 @@ def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | Non
 
 
 def _step(logs: Floats, amplitudes: Floats, variances: Floats, height: float, exponent: float) -> tuple[Estimate, ...]:
-    """Return log amplitude where `logs` (log speeds) are 0, and the exponent, after one Gauss-Newton step."""
+    """Return the log amplitude where `logs`, the log speeds, are 0, and the exponent, after one Gauss-Newton step."""
     model = np.exp(height + exponent * logs)
     columns = np.column_stack((model, model * logs))
     wanted = amplitudes - model + columns @ np.array([height, exponent])
     return least_squares(columns, wanted, variances, model**2).coefficients
 
 
-# ---- What is off a law -----------------------------------------------------------------------------------------------
+# ---- Deviations from a law -------------------------------------------------------------------------------------------
 
 
 def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
     """Return a sentence about the only tap that is not on a line through the origin, or an empty string.
 
-    The tap must be off the line of the others by a quarter or more.
+    The tap must be off the line of the other taps by a quarter or more.
     """
     count = len(speeds)
     if count < SPEED_LAW_LIMITS.min_taps + 3:
@@ -381,7 +381,7 @@ def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, nois
 
 
 def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
-    """Return whether the amplitude versus speed has an offset or is a curve, not a line through the origin."""
+    """Return whether amplitude versus speed has an offset or is a curve, not a line through the origin."""
     ones = np.ones_like(speeds)
     size = float(np.mean(amplitudes))
     scale = 1 / np.sqrt(noise / np.mean(noise))
@@ -403,10 +403,11 @@ def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> bool:
     return False
 
 
-def speed_trend(speeds: Floats, logs: Floats, variances: Floats, what: str, least: float) -> str:
-    """Return a sentence if the quantity `what` changes from the slowest tap to the fastest, else an empty string.
+def speed_trend(speeds: Floats, logs: Floats, variances: Floats, name: str, min_change: float) -> str:
+    """Return a sentence if a quantity changes from the slowest tap to the fastest, else an empty string.
 
-    The change must be significant and at least the fraction `least`. `logs` are the logarithms of the quantity.
+    The change must be significant, and at least the fraction `min_change`. `logs` (n,) are the logarithms of the
+    quantity, and `name` is its name in the sentence.
     """
     if len(speeds) < SPEED_LAW_LIMITS.min_taps + 2:
         return ""
@@ -415,8 +416,8 @@ def speed_trend(speeds: Floats, logs: Floats, variances: Floats, what: str, leas
     # As many standard errors as t has at SPEED_LAW_LIMITS.significance.
     wide = (slope.high - slope.value) * student_t(freedom, 1 - SPEED_LAW_LIMITS.significance) / student_t(freedom)
     change = math.expm1(slope.value * float(np.ptp(speeds)))
-    if not slope.value or abs(slope.value) < wide or abs(change) < least:
+    if not slope.value or abs(slope.value) < wide or abs(change) < min_change:
         return ""
     return (
-        f"the {what} {'rises' if change > 0 else 'falls'} by {100 * abs(change):.0f} % from the slowest to the fastest"
+        f"the {name} {'rises' if change > 0 else 'falls'} by {100 * abs(change):.0f} % from the slowest to the fastest"
     )

@@ -26,12 +26,12 @@ from hapticd.fit.recording import Recording, Source
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 SYNTHETIC_APPROACH_S: Final = 0.02
-"""Duration of the approach at constant speed before a synthetic tap, and of the rest after it."""
+"""Duration of the approach at constant speed before a synthetic tap, and of the rest on the surface after the tap."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stylus:
-    """A stylus with its sensor: sampling, noise, mounting, filter, range and tremor."""
+    """Stylus with a sensor: sampling, noise, mounting, filter, range and tremor."""
 
     rate_hz: float = 25_000.0
     noise_rms: float = 0.02
@@ -41,7 +41,7 @@ class Stylus:
     mounting_damping: float = 0.05
     """Damping of the mounting, as a fraction of critical damping."""
     filter_hz: float | None = None
-    """Corner of a Butterworth low-pass filter; None is without filter."""
+    """Corner of a Butterworth low-pass filter; None means no filter."""
     filter_order: int = 2
     full_scale_m_per_s2: float = math.inf
     """Larger accelerations are clipped."""
@@ -65,15 +65,15 @@ class Stylus:
         )
 
     def ringing(self, mode: Mode, time_s: Floats) -> Floats:
-        """Return the sensor's response (n,), at times (n,), to the mode exp(-B t) sin(w t) that begins at t = 0."""
+        """Return the sensor's response (n,) at times (n,) to a mode exp(-B t) sin(w t) that begins at t = 0."""
         pole = complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
-        heard = np.zeros(len(time_s))
+        response = np.zeros(len(time_s))
         after = time_s > 0
-        heard[after] = self.sensor.response(pole, time_s[after])[0].imag
-        return heard
+        response[after] = self.sensor.response(pole, time_s[after])[0].imag
+        return response
 
     def recorded(self, clean: Floats, random: np.random.Generator) -> Floats:
-        """Return an acceleration (n,) with offset, drift, tremor, noise and clipping."""
+        """Return the `clean` acceleration (n,) with offset, drift, tremor, noise and clipping."""
         time_s = np.arange(len(clean)) / self.rate_hz
         phase = random.uniform(0.0, 2 * math.pi)
         numbers = clean + self.offset_m_per_s2 + self.drift_m_per_s3 * time_s
@@ -100,7 +100,8 @@ def taps(
 ) -> tuple[Recording, TapTruth]:
     """Return a recording with a tap at each speed, one every `spacing_s`, and the true parameters.
 
-    Position is along the normal, 0 at the surface and negative in front of it.
+    The position is along the normal, 0 at the surface and negative in front of the surface. Raises ValueError for a
+    material with `amplitudes`.
     """
     random = np.random.default_rng(stylus.seed)
     speeds = np.asarray(speeds_m_per_s, dtype=np.float64)
@@ -133,7 +134,7 @@ def taps(
 
 
 def _tap_position(since_s: Floats, speed_m_per_s: float) -> Floats:
-    """Return the stylus's position: at rest, moving to the surface at constant speed, at rest there, moving back."""
+    """Return the stylus's position (n,), m: at rest, then to the surface at constant speed, at rest there, and back."""
     away_m = speed_m_per_s * SYNTHETIC_APPROACH_S
     return np.asarray(
         np.interp(
@@ -150,7 +151,7 @@ def _tap_position(since_s: Floats, speed_m_per_s: float) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """Duration of a stroke, sinusoidal variation of its speed and force, and noise of its force and position."""
+    """A hand's stroke: duration, sinusoidal variation of speed and force, and noise of force and position."""
 
     duration_s: float = 1.0
     speed_swing: float = 0.15
@@ -169,7 +170,7 @@ def grooves(
     hand: Hand = Hand(),
     scatter: float = 0.0,
 ) -> Recording:
-    """Return a stroke over a material with grooves displayed as vibration.
+    """Return a recording of a stroke over a material with grooves displayed as vibration.
 
     `scatter` is the relative standard deviation of the amplitudes. Raises ValueError for other materials.
     """
@@ -199,7 +200,7 @@ def texture(
     stylus: Stylus = Stylus(),
     hand: Hand = Hand(),
 ) -> Recording:
-    """Return a stroke over a material with a stochastic or an autoregressive texture.
+    """Return a recording of a stroke over a material with a stochastic or an autoregressive texture.
 
     The spectrum is that of white noise times the root of the texture's density. Of autoregressive models the nearest in
     speed and force is used. Raises ValueError for other materials.
@@ -224,9 +225,10 @@ def texture(
 def unit_density(
     texture: Stochastic | Autoregressive, speed_m_per_s: float, force_n: float, frequency: Floats, rate_hz: float
 ) -> Floats:
-    """Return the one-sided power spectral density (n,), 1/Hz, of a texture with an RMS of 1.
+    """Return the one-sided power spectral density (n,), 1/Hz, of a texture with an RMS of 1, at `frequency` (n,), Hz.
 
-    An autoregressive texture has that of the model nearest in speed and force, and 0 above half the models' rate.
+    The density of an autoregressive texture is that of the model nearest in speed and force, and 0 above half the
+    models' rate.
     """
     if isinstance(texture, Stochastic):
         return power_spectrum(stochastic_filter(texture.peak_hz, texture.mean_hz, rate_hz), frequency, rate_hz)
@@ -238,9 +240,9 @@ def unit_density(
 
 
 def level_of(texture: Stochastic | Autoregressive, speed: Floats, force: Floats) -> Floats:
-    """Return the RMS (n,), m/s^2, at speeds in m/s and forces in N.
+    """Return the RMS (n,), m/s^2, of a texture at speeds (n,), m/s, and forces (n,), N.
 
-    An autoregressive texture has that of the model nearest to the mean speed and force.
+    The RMS of an autoregressive texture is that of the model nearest to the mean speed and force.
     """
     if isinstance(texture, Autoregressive):
         model = _nearest(texture, float(np.mean(speed)), float(np.mean(force)))
@@ -264,9 +266,9 @@ def puncture(
     hand: Hand = Hand(),
     ruptures: bool = True,
 ) -> Recording:
-    """Return a puncture at this speed; if not `ruptures`, the stylus is withdrawn before the rupture.
+    """Return a recording of a puncture; if not `ruptures`, the stylus is withdrawn before the rupture.
 
-    Position is along the normal, pressing positive. Raises ValueError for a material without a rupture.
+    The position is along the normal, pressing positive. Raises ValueError for a material without a rupture.
     """
     rupture = material.rupture
     if rupture is None:
@@ -292,7 +294,7 @@ def puncture(
 def _stroke(
     speed_m_per_s: float, force_n: float, stylus: Stylus, hand: Hand, random: np.random.Generator
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return time, position, speed and force of a stroke; speed and force vary sinusoidally about their targets."""
+    """Return time, position, speed and force (n,) of a stroke; speed and force vary sinusoidally about the targets."""
     time = np.arange(round(hand.duration_s * stylus.rate_hz)) / stylus.rate_hz
     one, other = random.uniform(0, 2 * math.pi, 2)
     turn = 2 * math.pi * hand.swing_hz

@@ -34,7 +34,7 @@ from hapticd.fit.verdict import Exclusions, Warnings
 
 
 class Unusable(FitError):
-    """The reason why a tap cannot be used, without file and time.
+    """A tap cannot be used; the message is the reason, without file and time.
 
     If most taps of a recording have the same `fault`, the recording is refused: "rate" is a sampling rate that is too
     low, "approach" a position that does not determine the speed, "shape" an event that is not a tap.
@@ -54,7 +54,7 @@ class Event:
     last: int
     """Index of the last loud sample."""
     noise: float
-    """Standard deviation of the noise in the section of the recording without gaps, m/s^2."""
+    """Standard deviation of the noise near the event, m/s^2."""
     peak: float
     """Largest magnitude of the acceleration without gravity and drift, m/s^2."""
 
@@ -69,12 +69,12 @@ class Events:
         self.recording = recording = cleaned.recording
         """The recording without impossible samples."""
         self.acceleration = _checked(recording)
-        """(n,) m/s^2."""
+        """(n,) acceleration with gravity and drift, m/s^2."""
         lines += preparation.gravity_of([recording])
         above = self.acceleration - _base(self.acceleration, recording.rate_hz)
         self.events = _loud_events(recording, above)
         self.speeds = _given_speeds(recording, self.events, above)
-        """(events,) m/s, if the file has them."""
+        """(events,) approach speeds from the file, m/s; None if the file has none or a single speed."""
         if self.speeds is not None and len(self.speeds) != len(self.events):
             # A single loud sample may be noise.
             self.events = [each for each in self.events if each.first < each.last] or self.events
@@ -94,9 +94,9 @@ class Events:
         """(n,) whether a sample is clipped, and whether it was replaced."""
 
     def section(self, index: int) -> tuple[int, int]:
-        """Return first sample and last + 1 of the section between the events, or gaps, before and after an event.
+        """Return the first sample and the last + 1 around an event, up to the neighbouring events or gaps.
 
-        Raises Unusable if the section has no rest before the event.
+        Raises Unusable if there is too little rest before the event.
         """
         first, samples = self.events[index].first, len(self.clipped)
         begin = self.events[index - 1].last + 1 if index else 0
@@ -106,16 +106,16 @@ class Events:
                 begin, end = max(begin, low), min(end, high)
                 break
         if first - begin < TAP_LIMITS.min_rest_samples:
-            raise Unusable(f"{first - begin} samples of rest before it, {TAP_LIMITS.min_rest_samples} are needed")
+            raise Unusable(f"{first - begin} samples of rest before the tap, {TAP_LIMITS.min_rest_samples} are needed")
         return begin, end
 
     def check(self, begin: int, end: int) -> None:
-        """Raise Unusable if one of these samples is clipped or was replaced."""
+        """Raise Unusable if a sample from `begin` to `end` - 1 is clipped or was replaced."""
         cut, replaced = self.clipped[begin:end], self.replaced[begin:end]
         if cut.any():
-            raise Unusable(f"it is clipped at {np.abs(self.acceleration[begin:end][cut]).max():.4g} m/s^2")
+            raise Unusable(f"clipped at {np.abs(self.acceleration[begin:end][cut]).max():.4g} m/s^2")
         if replaced.any():
-            raise Unusable(f"{np.count_nonzero(replaced)} of its samples are impossible, 0 are allowed")
+            raise Unusable(f"{np.count_nonzero(replaced)} impossible samples, 0 are allowed")
 
     def speed(self, index: int, onset_s: float) -> float:
         """Return the approach speed, m/s: from the file, else from the position before the onset.
@@ -135,13 +135,13 @@ class Events:
         )
         if end - begin < TAP_LIMITS.min_approach_samples:
             raise Unusable(
-                f"{end - begin} samples of position before it, its speed needs {TAP_LIMITS.min_approach_samples}"
+                f"{end - begin} positions before the tap, {TAP_LIMITS.min_approach_samples} are needed for a speed"
             )
-        way = position[begin:end]
-        time_s = np.arange(len(way)) / rate_hz
-        line = np.polyfit(time_s, way - way[0], 1)
-        off = way - way[0] - np.polyval(line, time_s)
-        left, total = float(off @ off), float(np.sum((way - way.mean()) ** 2))
+        path = position[begin:end]
+        time_s = np.arange(len(path)) / rate_hz
+        line = np.polyfit(time_s, path - path[0], 1)
+        off = path - path[0] - np.polyval(line, time_s)
+        left, total = float(off @ off), float(np.sum((path - path.mean()) ** 2))
         if left > TAP_LIMITS.max_approach_residual * total:
             raise Unusable(
                 f"the approach is too uneven for a speed: a straight line leaves {100 * left / total:.0f} % of "
@@ -156,11 +156,11 @@ def _checked(recording: Recording) -> Floats:
     name, acceleration, position = recording.name, recording.acceleration_m_per_s2, recording.position_m
     if acceleration is None:
         raise FitError(f"{name}: no acceleration, which a fit of taps needs")
-    largest, least = float(np.abs(acceleration).max()), TAP_LIMITS.min_acceleration_m_per_s2
-    if 0 < largest < least:
+    peak, low = float(np.abs(acceleration).max()), TAP_LIMITS.min_acceleration_m_per_s2
+    if 0 < peak < low:
+        high = PREPARATION_LIMITS.max_tap_acceleration_m_per_s2
         raise FitError(
-            f"{name}: the acceleration must be between {least:g} and "
-            f"{PREPARATION_LIMITS.max_tap_acceleration_m_per_s2:g} m/s^2, is {largest:.3g}: wrong unit or column?"
+            f"{name}: the acceleration must be between {low:g} and {high:g} m/s^2, is {peak:.3g}: wrong unit or column?"
         )
     if recording.force_n is not None:
         force = preparation.force_of(recording)
@@ -177,7 +177,7 @@ def _checked(recording: Recording) -> Floats:
 
 
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
-    """Return gravity and drift (n,): medians over blocks of 50 ms, interpolated linearly.
+    """Return the acceleration (n,) due to gravity and drift: medians over blocks of 50 ms, interpolated linearly.
 
     For a short recording that begins at rest, return the median of that rest: slow ringing would shift block medians.
     """
@@ -193,7 +193,7 @@ def _base(acceleration: Floats, rate_hz: float) -> Floats:
 
 
 def _loud_events(recording: Recording, above: Floats) -> list[Event]:
-    """Return the loud events of all sections without gaps; `above` (n,) is the acceleration without gravity and drift.
+    """Return the loud events of a recording; `above` (n,) is the acceleration without gravity and drift.
 
     A loud sample exceeds 5 % of the largest one, and the level that noise reaches in one of a hundred recordings.
     Raises FitError if there are no loud samples.
@@ -222,7 +222,7 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
             continue
         # Upper bound of the tail of the normal distribution.
         loud_noise = math.sqrt(2 * math.log(len(size) / 0.01))
-        loud = np.flatnonzero(size > max(loud_noise * noise, TAP_LIMITS.min_loud * highest))
+        loud = np.flatnonzero(size > max(loud_noise * noise, TAP_LIMITS.min_loud_level * highest))
         # Events are separated by 20 ms without a loud sample.
         for part in np.split(loud, np.flatnonzero(np.diff(loud) > TAP_LIMITS.min_quiet_s * rate_hz) + 1):
             first, last = int(part[0]), int(part[-1])
@@ -236,7 +236,7 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
 
 
 def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
-    """Return the speed of each tap, m/s, or None if the recording has a single speed, or none."""
+    """Return the speed of each event, m/s, or None if the recording has no column or list of speeds."""
     speed = recording.speed_m_per_s
     if not isinstance(speed, np.ndarray):
         return None
@@ -247,7 +247,7 @@ def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) 
 
 
 def _without_bounces(recording: Recording, events: Sequence[Event]) -> list[Event]:
-    """Return the events without bounces: weaker events within 150 ms after a tap that have no separate approach."""
+    """Return the events without bounces. A bounce is weaker than the tap up to 150 ms before, and has no approach."""
     kept: list[Event] = []
     size_before, before = 0.0, 0
     for event in events:
@@ -266,29 +266,28 @@ def _without_bounces(recording: Recording, events: Sequence[Event]) -> list[Even
 
 
 def _has_approach(recording: Recording, touched: int, before: int, first: int) -> bool:
-    """Return whether the position before sample `first` shows a separate approach, not the end of a bounce.
+    """Return whether the position before sample `first` shows an approach, not the end of a bounce.
 
     An approach begins in front of the surface, which is at the position of sample `touched`. Its speed changes less
-    than half as fast as in a bounce that leaves the surface at sample `before` and is steadily pushed back to this
-    speed.
+    than half as fast as in a bounce that leaves the surface at sample `before` and is steadily pushed back.
     """
     if recording.speed_m_per_s is not None or recording.position_m is None:
         return False
     half = _samples(0.5 * TAP_LIMITS.approach_s, recording.rate_hz, 4)
     if first - 2 * half <= before:
         return False
-    way = recording.position_m[first - 2 * half : first]
-    place = np.arange(half) / recording.rate_hz
-    early, late = (float(np.polyfit(place, part, 1)[0]) for part in (way[:half], way[half:]))
+    path = recording.position_m[first - 2 * half : first]
+    time_s = np.arange(half) / recording.rate_hz
+    early, late = (float(np.polyfit(time_s, part, 1)[0]) for part in (path[:half], path[half:]))
     speed = 0.5 * (early + late)
-    passed = half / recording.rate_hz
-    ahead = (float(recording.position_m[touched]) - float(way.mean())) * math.copysign(1.0, speed)
-    steady = abs(late - early) * (first - before) / recording.rate_hz < abs(speed) * passed
-    return abs(speed) >= SPEED_LAW_LIMITS.min_speed_m_per_s and ahead > 0.5 * abs(speed) * passed and steady
+    passed_s = half / recording.rate_hz
+    ahead = (float(recording.position_m[touched]) - float(path.mean())) * math.copysign(1.0, speed)
+    steady = abs(late - early) * (first - before) / recording.rate_hz < abs(speed) * passed_s
+    return abs(speed) >= SPEED_LAW_LIMITS.min_speed_m_per_s and ahead > 0.5 * abs(speed) * passed_s and steady
 
 
-def _samples(time_s: float, rate_hz: float, least: int) -> int:
-    return max(least, round(time_s * rate_hz))
+def _samples(time_s: float, rate_hz: float, minimum: int) -> int:
+    return max(minimum, round(time_s * rate_hz))
 
 
 # ---- Model: each tap fitted alone ------------------------------------------------------------------------------------
@@ -296,7 +295,7 @@ def _samples(time_s: float, rate_hz: float, least: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TapHit:
-    """One tap, fitted by a mode."""
+    """A tap of a recording, fitted by a mode."""
 
     recording: str
     speed_m_per_s: float
@@ -344,7 +343,7 @@ class TapHit:
 
     @property
     def noise_m_per_s2(self) -> float:
-        """RMS of the residual, at least a billionth of the coefficient, so that a tap without noise has a weight."""
+        """RMS of the residual; at least a billionth of the coefficient, because a weight must be finite."""
         return max(self.ringing.noise_m_per_s2, 1e-9 * abs(self.coefficient_m_per_s2))
 
     @property
@@ -354,7 +353,7 @@ class TapHit:
 
     @property
     def residual_to_noise(self) -> float:
-        """Ratio of the RMS of the residual during the ringing to that before the onset."""
+        """RMS of the residual during the ringing, divided by its RMS before the onset."""
         left = self.ringing.residual
         onset = max(2, math.floor(self.ringing.onset_s * self.rate_hz))
         end = math.ceil((self.ringing.onset_s + 5 / self.decay_rate_per_s) * self.rate_hz)
@@ -398,12 +397,12 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
         if shapeless >= 5 and shapeless > len(found):
             first = f"{shapeless} of the first {index + 1}; the first of these: {refused[0][1]}"
             raise FitError(f"{name}: most events are not taps: {first}")
-    for fault, least, hint in (
+    for fault, min_count, hint in (
         ("rate", 1, "record at a higher rate."),
         ("approach", SPEED_LAW_LIMITS.min_taps, "is the position the right column?"),
     ):
         alike = [no for _, no in refused if no.fault == fault]
-        if len(alike) >= least and len(alike) > len(found):
+        if len(alike) >= min_count and len(alike) > len(found):
             count = f"{len(alike)} of {len(events)} taps cannot be used"
             raise FitError(f"{name}: {count}: {hint} The first of these: {alike[0]}")
     for event, reason in refused:
@@ -414,21 +413,21 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
 
 
 def _hit_of(loud: Events, index: int) -> TapHit:
-    """Fit a tap; raise Unusable with the measured and the required value if it cannot be used."""
+    """Return the tap of an event; raise Unusable, with the measured and the required value, if it cannot be used."""
     recording, event, section = loud.recording, loud.events[index], loud.section(index)
     rate_hz, sensor = recording.rate_hz, recording.sensor
     ringing, begin = _fitted(loud, event, *section)
     end = begin + len(ringing.residual)
     loud.check(begin, end)
     measured = loud.acceleration[begin:end]
-    share = ringing.variance_accounted_for
+    fraction = ringing.variance_accounted_for
     fault: Unusable | None
-    if share < TAP_LIMITS.min_explained:
+    if fraction < TAP_LIMITS.min_explained:
         needed = f"{100 * TAP_LIMITS.min_explained:.0f} % are needed"
-        fault = Unusable(f"a decaying sinusoid explains {100 * share:.0f} % of it, {needed}", "shape")
+        fault = Unusable(f"a decaying sinusoid explains {100 * fraction:.0f} % of the variance, {needed}", "shape")
     else:
         fault = _fault_of(rate_hz, event, ringing)
-    pair = pair_of(measured, rate_hz, ringing, sensor) if share < TAP_LIMITS.well_explained else None
+    pair = pair_of(measured, rate_hz, ringing, sensor) if fraction < TAP_LIMITS.well_explained else None
     if pair and (pair.variance_accounted_for < TAP_LIMITS.min_explained or _fault_of(rate_hz, event, pair) is not None):
         pair = None
     if fault is not None and pair is None:
@@ -439,9 +438,9 @@ def _hit_of(loud: Events, index: int) -> TapHit:
         place = begin - section[0] + ringing.onset_s * rate_hz
         if place < 0 or off > TAP_LIMITS.max_onset_error_samples:
             raise Unusable(
-                f"{rest} samples of rest before it, and its onset is {place:.1f} +- {off:.2g} samples after the first "
-                f"of these: needs {TAP_LIMITS.certain_rest_samples} samples of rest, or an onset after the first with "
-                f"an error of at most {TAP_LIMITS.max_onset_error_samples:g} sample"
+                f"{rest} samples of rest, and the onset {place:.1f} +- {off:.2g} samples after the first of them: "
+                f"needs {TAP_LIMITS.certain_rest_samples} samples of rest, or an onset after the first with an error "
+                f"of at most {TAP_LIMITS.max_onset_error_samples:g} sample"
             )
     return TapHit(
         recording=recording.name,
@@ -456,23 +455,23 @@ def _hit_of(loud: Events, index: int) -> TapHit:
     )
 
 
-def _fitted(loud: Events, event: Event, least: int, most: int) -> tuple[Ringing, int]:
-    """Return the ringing of a tap and its first fitted sample; samples from `least` to `most` - 1 may be fitted.
+def _fitted(loud: Events, event: Event, low: int, high: int) -> tuple[Ringing, int]:
+    """Return the ringing of a tap and its first fitted sample; samples from `low` to `high` - 1 may be fitted.
 
     Raises Unusable if nothing can be fitted.
     """
     rate_hz, sensor, first = loud.recording.rate_hz, loud.recording.sensor, event.first
     before = _samples(0.002, rate_hz, 16)
     lasted = max(event.last - first, before)
-    begin, end = max(least, first - max(before, lasted // 2)), min(most, event.last + lasted)
+    begin, end = max(low, first - max(before, lasted // 2)), min(high, event.last + lasted)
     begin = max(0, min(begin, end - 24))
     try:
         ringing = fit_ringing(loud.acceleration[begin:end], rate_hz, onset_s=(first - begin) / rate_hz, sensor=sensor)
         # The first fit was of a guessed section; the second is from one decay time before the onset to seven after it.
         onset = begin + ringing.onset_s * rate_hz
         decay = float(rate_hz / ringing.decay_rate_per_s[0])
-        again = max(least, math.floor(onset - max(before, min(decay, 5 * before))))
-        end = min(most, max(math.ceil(onset + TAP_LIMITS.fit_decay_times * decay), math.ceil(onset) + 24))
+        again = max(low, math.floor(onset - max(before, min(decay, 5 * before))))
+        end = min(high, max(math.ceil(onset + TAP_LIMITS.fit_decay_times * decay), math.ceil(onset) + 24))
         start = dataclasses.replace(ringing, onset_s=ringing.onset_s + (begin - again) / rate_hz)
         return fit_ringing(loud.acceleration[again:end], rate_hz, start=start, sensor=sensor), again
     except FitError as error:
@@ -483,32 +482,32 @@ def _fault_of(rate_hz: float, event: Event, ringing: Ringing) -> Unusable | None
     """Return the reason why the modes of `ringing` cannot come from a tap, or None."""
     for angular in ringing.angular_frequency_rad_per_s:
         if slow := preparation.undersampled(rate_hz, float(angular) / (2 * math.pi), TAP_LIMITS.min_samples_per_cycle):
-            return Unusable(f"it {slow}", "rate")
+            return Unusable(slow, "rate")
     uncertain, figure = _uncertainty(ringing)
     if not uncertain < TAP_LIMITS.max_relative_error:
         times = event.peak / event.noise if event.noise > 0 else math.inf
         known = (
-            f"its {figure} is uncertain by {100 * uncertain:.0f} %, at most {100 * TAP_LIMITS.max_relative_error:.0f} %"
+            f"the {figure} is uncertain by {100 * uncertain:.0f} %, at most {100 * TAP_LIMITS.max_relative_error:.0f} %"
         )
         # A louder event that cannot be fitted has another shape.
         strong = TAP_LIMITS.min_shapeless_peak_to_noise
         if times > strong:
             return Unusable(
-                f"its shape is not a ringing: its peak is {times:.0f} times the noise, but {known}", "shape"
+                f"the shape is not a ringing: the peak is {times:.0f} times the noise, but {known}", "shape"
             )
         return Unusable(
-            f"it is too weak for its noise: its peak is {times:.1f} times the noise, {strong:g} are needed, and {known}"
+            f"too weak for the noise: the peak is {times:.1f} times the noise, {strong:g} are needed, and {known}"
         )
     lasts = rate_hz / float(ringing.decay_rate_per_s.max())
     if lasts < TAP_LIMITS.min_decay_samples:
         return Unusable(
-            f"a glitch: it falls to 1/e within {lasts:.2g} samples, {TAP_LIMITS.min_decay_samples:g} are needed"
+            f"a glitch: falls to 1/e within {lasts:.2g} samples, {TAP_LIMITS.min_decay_samples:g} are needed"
         )
     return None
 
 
 def _uncertainty(ringing: Ringing) -> tuple[float, str]:
-    """Return the largest relative standard error of all modes' parameters, and the name of that parameter."""
+    """Return the largest relative standard error of the parameters of all modes, and the parameter's name."""
     modes = len(ringing.coefficients)
     values = np.concatenate((ringing.coefficients, ringing.decay_rate_per_s, ringing.angular_frequency_rad_per_s))
     variances = np.diag(ringing.covariance)[: len(values)]
@@ -525,7 +524,7 @@ def _uncertainty(ringing: Ringing) -> tuple[float, str]:
 
 @dataclass(frozen=True, slots=True)
 class SecondMode:
-    """A second mode, struck together with the first, and the values of the first mode in the fit of both."""
+    """A second mode that is struck together with the first, and the first mode's values in the fit of both modes."""
 
     frequency_hz: Estimate
     decay_time_s: Estimate
@@ -542,7 +541,7 @@ class SecondMode:
     alone: float
     """Fraction of the variance that one mode explains, median over the taps."""
     kept: bool
-    """Whether the material has the second mode by default, because one mode explains too little."""
+    """Whether the material has the second mode by default; it has if one mode explains too little."""
 
     def to_dict(self) -> dict[str, Json]:
         """Return the second mode as plain data for JSON."""
@@ -552,9 +551,9 @@ class SecondMode:
 
 
 def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor | None) -> Ringing | None:
-    """Return the fit of two modes if it explains significantly more than `ringing`, else None.
+    """Return the fit of two modes if it explains significantly more than `ringing`, the fit of one, else None.
 
-    The slower mode must also last for half a period.
+    `measured` (n,) is the acceleration, m/s^2. It must contain half a period of the slower mode or more.
     """
     if len(measured) < 24:
         return None
@@ -569,10 +568,10 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
 
 
 def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
-    """Return the taps with the louder of their two modes, and the second mode, if most taps have the same two modes.
+    """Return the taps, each as the louder of its two modes, and the second mode, if most taps have the same two modes.
 
-    Two modes are tried if one mode explains too little of the median tap. If most taps do not have the same two modes,
-    the taps for which one mode is enough are returned, and None.
+    Otherwise, and if one mode explains enough of the median tap, return the taps for which one mode is enough, and
+    None. The other taps are added to `excluded`.
     """
     alone = float(np.median([tap.variance_accounted_for for tap in taps])) if taps else 1.0
     pairs = [tap.pair for tap in taps if tap.pair is not None]
@@ -606,12 +605,14 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
         )
         if second is not None:
             for tap in others:
-                excluded.add(tap.recording, "it does not have the two modes of the others", "tap", tap.onset_s)
+                excluded.add(tap.recording, "lacks the two modes of the other taps", "tap", tap.onset_s)
             return used, second
     for tap in taps:
         if not tap.alone:
-            share = 100 * tap.variance_accounted_for
-            reason = f"a decaying sinusoid explains {share:.0f} % of it, and the others do not have its two modes"
+            percent = 100 * tap.variance_accounted_for
+            reason = (
+                f"a decaying sinusoid explains {percent:.0f} % of the variance, and the other taps have other modes"
+            )
             excluded.add(tap.recording, reason, "tap", tap.onset_s)
     return [tap for tap in taps if tap.alone], None
 
@@ -619,7 +620,7 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
 def second_mode(taps: list[TapHit], explained: float) -> SecondMode | None:
     """Return the second mode that most of the 12 loudest taps have, or None.
 
-    Both modes together must explain more than `explained`, the fraction that one mode explains.
+    Both modes together must explain more of the variance than one mode, which explains the fraction `explained`.
     """
     loudest = sorted(taps, key=lambda tap: tap.noise_m_per_s2 / tap.coefficient_m_per_s2)[:12]
     noisy = [tap for tap in loudest if tap.residual_to_noise > TAP_LIMITS.max_residual_to_noise]
@@ -640,10 +641,7 @@ def _explained_by(both: Sequence[tuple[TapHit, Ringing]]) -> float:
 
 
 def _usual_pair(pairs: Sequence[Ringing]) -> Floats | None:
-    """Return the log angular frequencies that most pairs of modes have, the louder mode first.
-
-    Returns None if the pairs do not agree.
-    """
+    """Return the logarithms of the two angular frequencies that most pairs have, the louder mode first, or None."""
     if len(pairs) < SPEED_LAW_LIMITS.min_taps:
         return None
     # Sorted by frequency, because the louder mode may change from tap to tap.
@@ -658,7 +656,7 @@ def _usual_pair(pairs: Sequence[Ringing]) -> Floats | None:
 
 
 def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
-    """Return the two modes in the order of `usual`, log angular frequencies; None if the frequencies differ."""
+    """Return the two modes sorted as `usual`, the usual log angular frequencies; None if they do not have these."""
     for order in ([0, 1], [1, 0]):
         if np.all(
             np.abs(np.log(pair.angular_frequency_rad_per_s[order]) - usual) < TAP_LIMITS.max_frequency_difference
@@ -668,7 +666,11 @@ def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
 
 
 def _common_pair(both: list[tuple[TapHit, Ringing]], by_both: float, by_one: float, default: bool) -> SecondMode | None:
-    """Return the second mode that all taps have in common, or None if it is an artefact of the first mode."""
+    """Return the second mode common to these taps, each with its two modes; None for an artefact of the fit.
+
+    `by_both` and `by_one` are the fractions of variance that two modes and one mode explain, `default` is the field
+    `kept` of the result.
+    """
     speeds = np.array([tap.speed_m_per_s for tap, _ in both])
     noise = _noise_of([tap for tap, _ in both])
     relative = noise / np.array([tap.first_peak_m_per_s2 for tap, _ in both]) ** 2
@@ -720,14 +722,14 @@ WithVariances: TypeAlias = tuple[Floats, Floats]
 
 
 def _noise_of(taps: Sequence[TapHit]) -> Floats:
-    """Return the noise variances (n,) of taps, from the median of the noise for taps within a factor 1.5 of it."""
+    """Return the noise variance of each tap (n,); taps within a factor of 1.5 of the median noise have the median."""
     found = np.array([tap.noise_m_per_s2 for tap in taps])
     usual = float(np.median(found))
     return np.where((found < 1.5 * usual) & (usual < 1.5 * found), usual, found) ** 2
 
 
 def _smoothed(variances: Floats, scale: Floats) -> Floats:
-    """Return variances proportional to `scale`, with the median ratio, because the given variances vary by chance."""
+    """Return `scale` (n,) times the median ratio of `variances` (n,) to it; single variances vary by chance."""
     return np.asarray(scale * np.median(variances / scale), dtype=np.float64)
 
 
@@ -740,7 +742,7 @@ def _time(log_decay: float) -> float:
 
 
 def _peak_variance(ringing: Ringing) -> float:
-    """Return the variance of the mode's first peak, by linear propagation of the errors of its parameters."""
+    """Return the variance of the first mode's first peak, by linear propagation of the parameters' errors."""
     values = np.array([ringing.coefficients[0], ringing.decay_rate_per_s[0], ringing.angular_frequency_rad_per_s[0]])
 
     def peak(at: Floats) -> float:
@@ -793,7 +795,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """Frequency and decay time at several speeds: interpolated linearly, constant beyond the first and the last."""
+    """Frequency and decay time at several speeds: interpolated linearly, constant beyond the first and last speed."""
 
     speeds_m_per_s: tuple[float, ...]
     frequencies_hz: tuple[Estimate, ...]
@@ -821,8 +823,8 @@ class Modes:
 def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -> Modes | None:
     """Return the table of modes versus speed, or None if frequency and decay time do not change.
 
-    Frequency or decay time changes if it differs significantly between the slowest and the fastest tap, and by 2 % or
-    10 %, respectively. A quantity that does not change has the mean of all taps at every speed.
+    A change is significant and, from the slowest to the fastest tap, at least 2 % of the frequency or 10 % of the decay
+    time. A quantity that does not change has the mean of all taps at every speed.
     """
     speeds, (angulars, of_angular), (decays, of_decay) = figures.speeds, figures.angular, figures.decay
     moved = (
@@ -847,12 +849,12 @@ def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -
         squares = max(float(np.sum(left**2 / (pairs[which][1] + scatter**2))), 1e-24)
         return statistics.aicc(squares, len(speeds), len(knots))
 
-    knots, least = speed_law.knots_of(speeds, 2), math.inf
+    knots, lowest = speed_law.knots_of(speeds, 2), math.inf
     for count in range(2, 6):
         tried = speed_law.knots_of(speeds, count)
         reached = sum(criterion(which, tried) for which, reason in enumerate(moved) if reason)
-        if len(tried) == count and reached < least:
-            knots, least = tried, reached
+        if len(tried) == count and reached < lowest:
+            knots, lowest = tried, reached
     found = [
         laid(which, knots).coefficients if reason else (steady,) * len(knots)
         for which, (reason, steady) in enumerate(zip(moved, (frequency_hz, decay_time_s), strict=True))
@@ -919,8 +921,8 @@ class TapFit(Fit):
     ) -> dict[str, Json]:
         """Return the keys of a YAML material; the fit chooses options that are None.
 
-        Raises FitError if a requested second mode, power law or table was not found, and for `attack: first_peak`
-        with a table of amplitudes or two modes, which need the coefficient.
+        Raises FitError if a requested second mode, power law or table was not found, or if `attack` is `first_peak`
+        with a table of amplitudes or two modes.
         """
         second = self.second if two_modes or (two_modes is None and self.second and self.second.kept) else None
         if attack != "coefficient" and (law not in (None, "line") or second is not None):
@@ -979,7 +981,7 @@ def fit_tap(
     progress: Callable[[Recording], None] | None = None,
     excluded: Exclusions | None = None,
 ) -> TapFit:
-    """Fit the taps of one material.
+    """Fit modes to the taps of one material.
 
     `progress` is called after each recording. Unusable recordings and taps are added to `excluded`. Raises FitError
     (one line) if the recordings do not support a fit.
@@ -1062,14 +1064,14 @@ def _of_one_sign(hits: list[TapHit], lines: list[str], excluded: Exclusions) -> 
     found = []
     for sign, tap in zip(signs, hits, strict=True):
         if sign != usual:
-            excluded.add(tap.recording, "it begins with the other sign than most", "tap", tap.onset_s)
+            excluded.add(tap.recording, "begins with the opposite sign of most taps", "tap", tap.onset_s)
             continue
         found.append(tap if usual > 0 else tap.negated())
     other = len(hits) - len(found)
-    if len(found) < SPEED_LAW_LIMITS.min_taps or (other > 1 and other > TAP_LIMITS.max_other_sign * len(hits)):
+    if len(found) < SPEED_LAW_LIMITS.min_taps or (other > 1 and other > TAP_LIMITS.max_opposite_fraction * len(hits)):
         raise FitError(
-            f"{other} of {len(hits)} taps begin with the other sign: a surface pushes one way; are there other events "
-            "among them, or is the rate too low?"
+            f"{other} of {len(hits)} taps begin with the opposite sign: a surface pushes one way; are some events not "
+            "taps, or is the rate too low?"
         )
     return found
 
@@ -1082,9 +1084,11 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
         )
     longest_s = max(len(tap.measured) / tap.rate_hz for tap in taps)
     # The fitted section has seven decay times, unless the recording or the next tap ends it.
-    if decay_time_s > TAP_LIMITS.max_decay * longest_s:
+    max_s = TAP_LIMITS.max_decay_time * longest_s
+    if decay_time_s > max_s:
         raise FitError(
-            f"the ringing does not decay: its decay time is {decay_time_s:.3g} s, but {longest_s:.3g} s were fitted"
+            f"the ringing does not decay: the decay time must be at most {max_s:.3g} s, is {decay_time_s:.3g} s, "
+            f"of {longest_s:.3g} s that were fitted"
         )
 
 
@@ -1094,7 +1098,7 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
 def _check_recordings(
     warnings: Warnings, recordings: Sequence[Recording], taps: Sequence[TapHit], frequency: Estimate
 ) -> None:
-    """Downgrade the verdict for hum in the residuals and for a low sampling rate."""
+    """Downgrade the verdict for hum in the residuals, and for a low sampling rate."""
     of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
 
     def lines(recording: Recording, needed: int) -> list[SpectralLine]:
@@ -1116,7 +1120,7 @@ def _check_recordings(
 def _check_mode(
     warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, lines: list[str]
 ) -> None:
-    """Downgrade the verdict if one mode, or two modes, do not explain the taps."""
+    """Downgrade the verdict if the modes do not explain the taps; one mode explains the fraction `explained`."""
     if second is not None:
         together = 100 * second.variance_accounted_for
         lines.append(
@@ -1136,33 +1140,33 @@ def _check_mode(
 def _lack_of_fit(taps: Sequence[TapHit]) -> str:
     """Return a sentence if the residuals of all taps have a common pattern that is not noise, else an empty string.
 
-    This is the score test of OTHER_SHAPES in ringing.py.
+    The pattern is found by a score test of the shapes in `ringing.OTHER_SHAPES`.
     """
     noisy = float(np.median([tap.residual_to_noise for tap in taps]))
     size = len(taps[0].ringing.lack_of_fit[0])
-    score, squares, heard, left, samples = np.zeros(size), np.zeros((size, size)), 0.0, 0.0, 0
+    score, squares, energy, left, samples = np.zeros(size), np.zeros((size, size)), 0.0, 0.0, 0
     for tap in taps:
         noise, residual = tap.noise_m_per_s2**2, tap.ringing.residual
         score += tap.ringing.lack_of_fit[0] / noise
         squares += tap.ringing.lack_of_fit[1] / noise
         modelled = tap.modelled - np.median(tap.modelled)
-        heard += float(modelled @ modelled) / noise
+        energy += float(modelled @ modelled) / noise
         left += float(residual @ residual) / noise
         samples += len(residual) - 6
-    taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
-    share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
-    chance = statistics.f_test_p(float(samples), samples, max(0.0, samples - taken), samples - size)
-    if share > TAP_LIMITS.min_pattern and (
+    explained = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
+    fraction = math.sqrt(max(0.0, explained) / energy) if energy > 0 else 0.0
+    chance = statistics.f_test_p(float(samples), samples, max(0.0, samples - explained), samples - size)
+    if fraction > TAP_LIMITS.min_pattern_rms and (
         chance < SPEED_LAW_LIMITS.significance or noisy > TAP_LIMITS.max_residual_to_noise
     ):
-        return f"the residuals have a pattern of {100 * share:.0f} % of the ringing"
-    if noisy > TAP_LIMITS.max_residual_to_noise and math.sqrt(left / heard) > TAP_LIMITS.min_pattern:
+        return f"the residuals have a pattern of {100 * fraction:.0f} % of the ringing"
+    if noisy > TAP_LIMITS.max_residual_to_noise and math.sqrt(left / energy) > TAP_LIMITS.min_pattern_rms:
         return f"the residuals are {noisy:.1f} times the noise before the taps"
     return ""
 
 
 def _modes_over_speed(warnings: Warnings, figures: Figures, frequency: Estimate, decay_time: Estimate) -> Modes | None:
-    """Return any table of modes versus speed, or None; downgrade the verdict if frequency or decay time scatters."""
+    """Return the table of modes versus speed, or None; downgrade the verdict for scattered frequencies or decays."""
     modes = modes_of(figures, frequency, decay_time)
     if modes is None:
         warnings.check_interval("decay time", decay_time)

@@ -7,8 +7,9 @@ it is assumed to fall as in the octave before.
 
 The mean frequency is the centroid of the power. The peak is that of a single resonance: a parabola is fitted to
 1/density versus squared frequency in the half-power band, by Whittle's likelihood. Intervals are jackknifed over groups
-of blocks, or over strokes if these differ more than their blocks do by chance. If a parabola above three quarters of
-the highest density has another peak, the spectrum is not a single resonance, and the interval includes both.
+of blocks, or over strokes if strokes differ more than their blocks do by chance. If a parabola fitted above three
+quarters of the highest density has another peak, the spectrum is not a single resonance, and the interval includes
+both peaks.
 
 A peak is resolved if the density is lower on both sides. If the density at TEXTURE_LIMITS.min_frequency_hz is as high,
 the peak may be anywhere below. Then the peak's interval begins at 0, and ends at the larger of two frequencies: the end
@@ -18,9 +19,9 @@ density over bootstrap samples of the groups (Efron, 1979).
 The law of the RMS is fitted to the power of the blocks, with errors proportional to the power (quasi-likelihood of a
 gamma distribution; Wedderburn, 1974).
 
-If requested, an autoregressive model is made for each pair of speed and force, from the autocorrelation of the mean
-spectrum (Levinson and Durbin), so that it is stable for any spectrum. Its order has the lowest corrected information
-criterion of Akaike (Hurvich and Tsai, 1989).
+On request, an autoregressive model is made for each pair of speed and force, from the autocorrelation of the mean
+spectrum (Levinson and Durbin); such a model is stable for any spectrum. The order of the model has the lowest corrected
+information criterion of Akaike (Hurvich and Tsai, 1989).
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from hapticd.fit.spectral_lines import report_lines, spectral_lines
 from hapticd.fit.verdict import Exclusions, Warnings
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
-# ---- Blocks: strokes in halves of a second ---------------------------------------------------------------------------
+# ---- Blocks: strokes cut into half seconds ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +54,11 @@ class StrokeBlocks:
 
     stroke: Stroke
     density: Floats
-    """(blocks, frequencies) one-sided density in (m/s^2)^2/Hz, less that of the sensor's noise."""
+    """(blocks, frequencies) one-sided density without that of the sensor's noise, (m/s^2)^2/Hz."""
     means: Floats
     """(blocks, 5) means of speed, force, squared speed, speed times force, and squared force."""
     floor: float
-    """Density of the sensor's noise."""
+    """Density of the sensor's noise, (m/s^2)^2/Hz."""
     lost: int
     """Number of blocks left out because of replaced samples or knocks."""
 
@@ -67,7 +68,7 @@ def _frequencies(rate_hz: float) -> Floats:
 
 
 def _blocks_of(stroke: Stroke, usual_hz: float, warnings: Warnings) -> StrokeBlocks:
-    """Return a recording cut into blocks; raise FitError if its rate is not `usual_hz`, or if it is not a texture."""
+    """Return a stroke cut into blocks; raise FitError if its rate is not `usual_hz`, or if it is not of a texture."""
     from scipy.signal import periodogram
 
     name, rate_hz = stroke.recording.name, stroke.recording.rate_hz
@@ -112,30 +113,28 @@ def _blocks_of(stroke: Stroke, usual_hz: float, warnings: Warnings) -> StrokeBlo
 
 
 def _without_sensor_noise(name: str, frequency: Floats, density: Floats, rate_hz: float) -> tuple[Floats, float]:
-    """Return the power spectral density minus that of the sensor's noise, and the density of the noise.
+    """Return the power spectral densities minus that of the sensor's noise, and the density of the noise.
 
-    Raises FitError if the spectrum does not end below half the rate, that is, if its mean between 0.4 and 0.49 of the
-    rate is more than a twentieth of its highest value.
+    Raises FitError if the spectrum does not end below half the rate: if the mean density between 0.4 and 0.49 of the
+    rate is more than a twentieth of the highest density.
     """
     noise_band = (frequency > 0.4 * rate_hz) & (frequency < 0.49 * rate_hz)
     floor = float(np.mean(density[:, noise_band]))
-    if floor > TEXTURE_LIMITS.max_floor * float(
-        density[:, (frequency >= TEXTURE_LIMITS.min_frequency_hz) & ~noise_band].mean(axis=0).max(initial=0.0)
-    ):
+    signal_band = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & ~noise_band
+    if floor > TEXTURE_LIMITS.max_floor * float(density[:, signal_band].mean(axis=0).max(initial=0.0)):
         raise FitError(
             f"{name}: the spectrum does not end below half the rate of {rate_hz:g} Hz, or it is the sensor's noise "
             "alone: record at a higher rate, or with less noise"
         )
     # The density of a texture falls there by at least min_density_fall; the part that does not fall is the sensor's.
     nearer = float(np.mean(density[:, (frequency > 0.3 * rate_hz) & (frequency < 0.35 * rate_hz)]))
-    floor = min(
-        max(0.0, (TEXTURE_LIMITS.min_density_fall * floor - nearer) / (TEXTURE_LIMITS.min_density_fall - 1)), floor
-    )
+    fall = TEXTURE_LIMITS.min_density_fall
+    floor = min(max(0.0, (fall * floor - nearer) / (fall - 1)), floor)
     return density - floor, floor
 
 
 def _unusable_blocks(stroke: Stroke, block: int, warnings: Warnings) -> set[int]:
-    """Return the first sample of each block to leave out: one with more than 2 % replaced samples, or with a knock.
+    """Return the first sample of each block to leave out: a block with more than 2 % replaced samples, or a knock.
 
     A knock exceeds 15 standard deviations of its block, which noise does not reach.
     """
@@ -160,24 +159,27 @@ def _unusable_blocks(stroke: Stroke, block: int, warnings: Warnings) -> set[int]
 
 
 def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
-    """Raise FitError if most of the power is the motion of the hand, or tones."""
-    low, heard = frequency < TEXTURE_LIMITS.min_frequency_hz, frequency >= TEXTURE_LIMITS.min_frequency_hz
-    lowest = float(frequency[heard][np.argmax(smoothed(density, 2)[heard])])
-    if density[low].sum() > density[heard].sum() and lowest < 2 * TEXTURE_LIMITS.min_frequency_hz:
+    """Raise FitError if most of the power is motion of the hand, or in tones; `density` is (frequencies,)."""
+    below, above = frequency < TEXTURE_LIMITS.min_frequency_hz, frequency >= TEXTURE_LIMITS.min_frequency_hz
+    loudest_hz = float(frequency[above][np.argmax(smoothed(density, 2)[above])])
+    if density[below].sum() > density[above].sum() and loudest_hz < 2 * TEXTURE_LIMITS.min_frequency_hz:
         raise FitError(
             f"{name}: most of the power is below {TEXTURE_LIMITS.min_frequency_hz:g} Hz, and the spectrum falls above: "
             "motion of a hand, not a texture"
         )
-    loudest = np.sort(density[heard])[-3:]
-    if loudest.sum() > TEXTURE_LIMITS.max_tone * density[heard].sum():
+    loudest = np.sort(density[above])[-3:]
+    if loudest.sum() > TEXTURE_LIMITS.max_tone_power * density[above].sum():
         raise FitError(
-            f"{name}: a tone at {frequency[heard][np.argmax(density[heard])]:.4g} Hz holds most of the power: hum or a "
+            f"{name}: a tone at {frequency[above][np.argmax(density[above])]:.4g} Hz holds most of the power: hum or a "
             "ringing, not a texture"
         )
 
 
 def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail | None]:
-    """Return the frequency where the mean spectrum falls to 0.3 of the sensor's noise, and the extrapolation above."""
+    """Return the frequency, Hz, at which the spectrum falls to 0.3 of the sensor's noise, and an extrapolation above.
+
+    `shape` (frequencies,) is the mean density of blocks with a power of 1, and `floor` the noise on the same scale.
+    """
     smooth = smoothed(shape, max(1, round(25 / frequency[1])))
     peak = int(np.argmax(smooth))
     below = np.flatnonzero(smooth[peak:] < 0.3 * floor)
@@ -194,14 +196,17 @@ def _top_of(frequency: Floats, shape: Floats, floor: float) -> tuple[float, Tail
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """Extrapolated density from `top_hz` to half the rate: proportional to frequency^-fall, as in the octave below."""
+    """Density extrapolated from `top_hz` to `end_hz`: proportional to frequency^-fall, as in the octave below."""
 
     top_hz: float
     fall: float
     end_hz: float
 
     def moments(self, frequency: Floats, shape: Floats) -> tuple[float, float]:
-        """Return the extrapolated power, and this power times its mean frequency, both divided by a bin's width."""
+        """Return the power of the tail, and this power times the mean frequency, both divided by a bin's width.
+
+        `shape` is the density at `frequency` (n,), which ends at `top_hz`.
+        """
         last = frequency > self.top_hz / 2
         level = float(shape[last].sum() / np.sum((frequency[last] / self.top_hz) ** -self.fall)) / float(frequency[1])
         ratio = self.end_hz / self.top_hz
@@ -212,11 +217,11 @@ class Tail:
 
 @dataclass(frozen=True, slots=True)
 class _Blocks:
-    """The half-second blocks of all strokes."""
+    """Blocks of half a second of all strokes."""
 
     strokes: tuple[Stroke, ...]
     stroke: Ints
-    """(blocks,) index of each block's stroke in `strokes`."""
+    """(blocks,) index in `strokes` of each block's stroke."""
     frequency: Floats
     """(frequencies,) Hz, up to where the spectra fall below the sensor's noise; `tail` continues them."""
     density: Floats
@@ -242,20 +247,15 @@ class _Blocks:
         power = density.sum(axis=1) * frequency[1]
         rough = (density / power[:, None]).mean(axis=0)
         top, tail = _top_of(frequency, rough, float(np.mean([each.floor for each in cut]) / np.median(power)))
-        heard = frequency <= top
-        frequency, density = frequency[heard], density[:, heard]
+        kept = frequency <= top
+        frequency, density = frequency[kept], density[:, kept]
         power = density.sum(axis=1) * frequency[1]
         if power.min() <= 0:
             name = strokes[stroke[int(np.argmin(power))]].recording.name
             raise FitError(f"{name}: a block is not louder than the sensor's noise")
         rms = np.sqrt(power)
-        usual = float(np.median(rms))
-        preparation.check_range(
-            usual,
-            TEXTURE_LIMITS.min_rms_m_per_s2,
-            TEXTURE_LIMITS.max_rms_m_per_s2,
-            "usual RMS",
-        )
+        low, high = TEXTURE_LIMITS.min_rms_m_per_s2, TEXTURE_LIMITS.max_rms_m_per_s2
+        preparation.check_range(float(np.median(rms)), low, high, "median RMS")
         return cls(strokes, stroke, frequency, density, tail, np.concatenate([each.means for each in cut]), rms)
 
     @property
@@ -287,13 +287,13 @@ class Peak:
 
 
 def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
-    """Return the peak of densities (blocks, frequencies); `strokes` (blocks,) is the stroke of each block."""
+    """Return the peak of the mean of densities (blocks, frequencies); `strokes` (blocks,) are the blocks' strokes."""
 
     def parabola(density: Floats) -> float:
         return _parabola_peak(frequency, density)
 
     def upper(density: Floats) -> float:
-        return _parabola_peak(frequency, density, TEXTURE_LIMITS.narrow_top)
+        return _parabola_peak(frequency, density, TEXTURE_LIMITS.narrow_peak_level)
 
     found = jackknifed(parabola, shape, strokes)
     top = jackknifed(upper, shape, strokes)
@@ -303,23 +303,23 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
         return Peak(found, True)
     # The interval may be far too wide: it is limited to where the density is above half of its highest value.
     smooth, place = _highest(frequency, shape.mean(axis=0))
-    below = np.flatnonzero(smooth[place:] < TEXTURE_LIMITS.wide_top * smooth[place])
+    below = np.flatnonzero(smooth[place:] < TEXTURE_LIMITS.peak_level * smooth[place])
     reach = min(found.high, float(frequency[place + below[0]] if len(below) else frequency[-1]))
     return Peak(Estimate(found.value, 0.0, max(_highest_resampled(frequency, shape), reach, found.value)), False)
 
 
 def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) -> Estimate:
-    """Return the value `figure` of the mean density (power spectral density) with its jackknife interval.
+    """Return the value of `figure`, a function of the mean density (frequencies,), with its jackknife interval.
 
-    Groups of blocks are left out in turn, or strokes if strokes differ significantly more than their blocks do (5 %
-    level).
+    `shape` (blocks, frequencies) are the densities. Groups of blocks are left out in turn, or strokes if strokes differ
+    significantly more than their blocks do (5 % level).
     """
     from scipy.special import fdtri
 
     value = figure(shape.mean(axis=0))
     error, freedom = _left_out(figure, shape, _groups_of(len(shape)))
     by_stroke = [np.flatnonzero(strokes == each) for each in np.unique(strokes)]
-    if 3 <= len(by_stroke) <= TEXTURE_LIMITS.jackknife_groups:
+    if 3 <= len(by_stroke) <= TEXTURE_LIMITS.max_jackknife_groups:
         wider, fewer = _left_out(figure, shape, by_stroke)
         if wider > error * math.sqrt(float(fdtri(fewer, freedom, 0.95))):
             error, freedom = wider, fewer
@@ -327,15 +327,15 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
 
 
 def _groups_of(blocks: int) -> list[Ints]:
-    """Return groups of consecutive blocks, each as the indices of its blocks."""
-    edges = np.linspace(0, blocks, min(TEXTURE_LIMITS.jackknife_groups, blocks) + 1).round().astype(np.int64)
+    """Return at most 20 groups of consecutive blocks, each as the indices of its blocks."""
+    edges = np.linspace(0, blocks, min(TEXTURE_LIMITS.max_jackknife_groups, blocks) + 1).round().astype(np.int64)
     return [np.arange(low, high) for low, high in pairwise(edges)]
 
 
 def _left_out(figure: Callable[[Floats], float], shape: Floats, groups: Sequence[Ints]) -> tuple[float, int]:
-    """Return jackknife standard error and degrees of freedom of `figure`, with each of the groups left out in turn.
+    """Return jackknife standard error and degrees of freedom of `figure`; each group of blocks is left out in turn.
 
-    Groups of different sizes have equal weights; the weights of Busing et al. (1999) change little.
+    Groups of different sizes have equal weights; the weights of Busing et al. (1999) would change little.
     """
     total = shape.sum(axis=0)
     without = np.array([figure((total - shape[each].sum(axis=0)) / (len(shape) - len(each))) for each in groups])
@@ -343,19 +343,19 @@ def _left_out(figure: Callable[[Floats], float], shape: Floats, groups: Sequence
 
 
 def smoothed(values: Floats, half: int) -> Floats:
-    """Return means over 2 half + 1 neighbours; beyond the ends the last value is repeated."""
+    """Return the mean of 2 half + 1 values about each value (n,); the first and last value continue beyond the ends."""
     kernel = np.ones(2 * half + 1) / (2 * half + 1)
     return np.convolve(np.pad(values, half, mode="edge"), kernel, mode="valid")
 
 
 def _highest(frequency: Floats, density: Floats) -> tuple[Floats, int]:
-    """Return the smoothed density, and the index of its highest value above TEXTURE_LIMITS.min_frequency_hz."""
+    """Return the smoothed density (n,), and the index of the highest one above TEXTURE_LIMITS.min_frequency_hz."""
     smooth = smoothed(density, max(1, round(TEXTURE_LIMITS.smoothing_hz / frequency[1])))
     return smooth, int(np.argmax(np.where(frequency >= TEXTURE_LIMITS.min_frequency_hz, smooth, 0.0)))
 
 
-def _parabola_peak(frequency: Floats, shape: Floats, fraction: float = TEXTURE_LIMITS.wide_top) -> float:
-    """Return the peak, Hz, of a parabola fitted to 1/density above this `fraction` of the highest density."""
+def _parabola_peak(frequency: Floats, shape: Floats, fraction: float = TEXTURE_LIMITS.peak_level) -> float:
+    """Return the peak, Hz, of a parabola fitted to 1/density where the density exceeds a `fraction` of the highest."""
     smooth, place = _highest(frequency, shape)
     outside = (smooth <= fraction * smooth[place]) | (frequency < TEXTURE_LIMITS.min_frequency_hz)
     low = int(np.flatnonzero(outside[:place])[-1]) + 1 if outside[:place].any() else 0
@@ -376,18 +376,18 @@ def _parabola_peak(frequency: Floats, shape: Floats, fraction: float = TEXTURE_L
         inverse = columns @ at
         return float(np.sum(seen * inverse - np.log(inverse))) if inverse.min() > 0 else math.inf
 
-    least = unlikely(found)
+    lowest = unlikely(found)
     for _ in range(50):
         inverse = columns @ found
         slope = columns.T @ (seen - 1 / inverse)
         step = np.linalg.solve((columns / inverse[:, None] ** 2).T @ columns, -slope)
-        while unlikely(found + step) > least and np.abs(step).max() > 1e-12:
+        while unlikely(found + step) > lowest and np.abs(step).max() > 1e-12:
             step = step / 2
         found = found + step
         reached = unlikely(found)
-        if least - reached < 1e-10:
+        if lowest - reached < 1e-10:
             break
-        least = reached
+        lowest = reached
     if found[2] <= 0:
         return float(frequency[place])
     best = math.sqrt(max(0.0, float(square[place] - width * found[1] / (2 * found[2]))))
@@ -396,12 +396,10 @@ def _parabola_peak(frequency: Floats, shape: Floats, fraction: float = TEXTURE_L
 
 def _falls_below(frequency: Floats, shape: Floats, peak_hz: float) -> bool:
     """Return whether the density near min_frequency_hz is significantly lower than within 20 % of the peak."""
-    if peak_hz < 1.3 * TEXTURE_LIMITS.min_frequency_hz:
+    min_hz = TEXTURE_LIMITS.min_frequency_hz
+    if peak_hz < 1.3 * min_hz:
         return False
-    low = (frequency >= TEXTURE_LIMITS.min_frequency_hz) & (
-        frequency
-        <= TEXTURE_LIMITS.min_frequency_hz + max(frequency[1] * 2, (peak_hz - TEXTURE_LIMITS.min_frequency_hz) / 3)
-    )
+    low = (frequency >= min_hz) & (frequency <= min_hz + max(frequency[1] * 2, (peak_hz - min_hz) / 3))
     high = (frequency >= 0.8 * peak_hz) & (frequency <= 1.2 * peak_hz) & ~low
     if not low.any() or not high.any():
         return False
@@ -422,7 +420,7 @@ def _highest_resampled(frequency: Floats, shape: Floats) -> float:
 
 
 def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> float:
-    """Return the RMS difference, dB, of two densities (n,) where the second is within 20 dB of its peak.
+    """Return the RMS difference, dB, of two densities (n,) where `power`, the second, is within 20 dB of its peak.
 
     The densities are compared in bands of a twelfth of an octave, because a periodogram scatters.
     """
@@ -443,9 +441,10 @@ Gains: TypeAlias = tuple[Estimate, Estimate] | tuple[None, None]
 
 
 def _loudness(blocks: _Blocks, autoregressive: bool, warnings: Warnings) -> tuple[Floats, Gains, float]:
-    """Return the RMS (blocks,) that the law of speed and force predicts, the law's gains, and its correlation.
+    """Return the RMS (blocks,) predicted by the law of speed and force, the law's gains, and its correlation.
 
-    If speed and force do not vary independently, autoregressive models take the mean RMS of each stroke, without gains.
+    If speed and force do not vary independently, autoregressive models use the mean RMS of each stroke, without gains.
+    Raises FitError if a texture without such models has no law.
     """
     if not autoregressive:
         preparation.check_independent(blocks.speed, blocks.force)
@@ -459,8 +458,8 @@ def _loudness(blocks: _Blocks, autoregressive: bool, warnings: Warnings) -> tupl
 def _law(moments: Floats, rms: Floats, warnings: Warnings) -> tuple[Floats, Gains, float]:
     """Fit RMS versus speed and force by quasi-likelihood; return predicted RMS (blocks,), gains and correlation.
 
-    The mean power of a block is g' M g, with the gains g and the block's moments M. Its derivative 2 M g, divided by
-    the power, gives the block's row in the least squares.
+    The mean power of a block is g' M g, with the gains g and the block's `moments` M: means of squared speed, speed
+    times force, and squared force. The row of a block in the least squares is 2 M g divided by this power.
     """
     squares = moments[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     gains = np.linalg.lstsq(np.sqrt(moments[:, [0, 2]]) / rms[:, None], np.ones(len(rms)), rcond=None)[0]
@@ -496,20 +495,20 @@ def _law(moments: Floats, rms: Floats, warnings: Warnings) -> tuple[Floats, Gain
 
 @dataclass(frozen=True, slots=True)
 class ArModel:
-    """Autoregressive model at one speed and force."""
+    """Autoregressive model of a texture at one speed and force."""
 
     speed_m_per_s: float
     force_n: float
     coefficients: tuple[float, ...]
     rms_m_per_s2: float
     rms_error_db: float
-    """Difference between the model's spectrum and the recorded one, from `spectral_distance_db`."""
+    """Difference of the model's spectrum from the recorded one, from `spectral_distance_db`."""
 
 
 def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
-    """Return the autoregressive models' rate, an integer of Hz: 99.5 % of the power lies below 0.4 of this rate.
+    """Return the sampling rate of autoregressive models, at most `rate_hz`, the rate of the recordings.
 
-    The models' rate is at most the rate of the recordings.
+    The rate is an integer of Hz, and 99.5 % of the power lies below 0.4 of it. `shape` (frequencies,) is the density.
     """
     below = np.cumsum(np.maximum(shape, 0.0))
     top = float(frequency[min(int(np.searchsorted(below, TEXTURE_LIMITS.model_power * below[-1])), len(frequency) - 1)])
@@ -517,14 +516,14 @@ def _model_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
 
 
 def _models_of(blocks: _Blocks, rate_hz: float) -> tuple[ArModel, ...]:
-    """Return an autoregressive model of each group of blocks whose speeds and forces differ by less than a tenth.
+    """Return an autoregressive model, at this rate, of each group of blocks with nearly the same speed and force.
 
     Raises FitError if no group lasts 2 s.
     """
     columns = (blocks.speed, blocks.force)
     groups: list[list[int]] = []
     for stroke in range(len(blocks.strokes)):
-        # A recording at nearly constant speed and force is one part, otherwise each block is one.
+        # A recording at nearly constant speed and force is one part, otherwise each block is a part.
         here = np.flatnonzero(blocks.stroke == stroke)
         steady = max(float(np.ptp(values[here]) / np.mean(values[here])) for values in columns) < 0.5
         for part in [here.tolist()] if steady else [[member] for member in here.tolist()]:
@@ -574,7 +573,7 @@ def _model(blocks: _Blocks, group: list[int], rate_hz: float) -> ArModel:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A block of a stroke: means of speed and force, RMS and mean frequency of the acceleration."""
+    """Half a second of a stroke: means of speed and force, RMS and mean frequency of the acceleration."""
 
     recording: str
     speed_m_per_s: float
@@ -626,8 +625,7 @@ def fit_texture(
 ) -> TextureFit:
     """Fit a texture to strokes at several speeds and forces.
 
-    Unusable recordings and sections are added to `excluded`. Raises FitError if the recordings do
-    not support a fit.
+    Unusable recordings and sections are added to `excluded`. Raises FitError if the recordings do not support a fit.
     """
     excluded = Exclusions() if excluded is None else excluded
     preparation.refuse_duplicates(recordings)
@@ -641,12 +639,12 @@ def fit_texture(
             return _fitted(sections, usual_hz, autoregressive, excluded)
         except _TwoTextures as two:
             excluded.add(two.name, str(two))
-            gone = {each.recording for each in excluded.items}
-            sections = [recording for recording in sections if recording.name not in gone]
+            left_out = {each.recording for each in excluded.items}
+            sections = [recording for recording in sections if recording.name not in left_out]
 
 
 def _fitted(sections: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
-    """Fit these sections of strokes; raise _TwoTextures if one of them has more than one texture."""
+    """Fit a texture to these sections of strokes; raise _TwoTextures if a section has more than one texture."""
     warnings = Warnings()
     blocks = _Blocks.of(_cut(sections, rate_hz, excluded, warnings), excluded)
     recordings = [each.recording for each in blocks.strokes]
@@ -660,7 +658,7 @@ def _fitted(sections: Sequence[Recording], rate_hz: float, autoregressive: bool,
     peak = peak_of(blocks.frequency, shape, blocks.stroke)
     mean = jackknifed(blocks.centroid, shape, blocks.stroke)
     if rate_hz < PREPARATION_LIMITS.min_samples_per_cycle * mean.value:
-        raise FitError(f"the mean frequency is {mean.value:.4g} Hz, sampled at {rate_hz:g} Hz: the rate is too low")
+        raise FitError(f"the rate is too low: {rate_hz:g} Hz for a mean frequency of {mean.value:.4g} Hz")
     for place, recording in enumerate(recordings):
         here = blocks.stroke == place
         _refuse_two(recording.name, np.log(np.maximum(centroid[here], 1.0)), np.log(blocks.rms[here] / law[here]))
@@ -724,33 +722,32 @@ def _cut(sections: Sequence[Recording], rate_hz: float, excluded: Exclusions, wa
 
 
 class _TwoTextures(FitError):
-    """A recording has more than one texture, or its vibration is not that of a texture."""
+    """A recording has more than one texture, or is not of a texture."""
 
     def __init__(self, name: str, reason: str) -> None:
         super().__init__(f"{name}: {reason}")
         self.name = name
 
 
-def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
-    """Raise _TwoTextures if the logarithm of mean frequency or loudness of a recording scatters or jumps too much."""
-    count = len(pitch)
-    if count > 3 and float(np.std(pitch)) > TEXTURE_LIMITS.max_pitch_scatter:
+def _refuse_two(name: str, frequency: Floats, loudness: Floats) -> None:
+    """Raise _TwoTextures if mean frequency or loudness, as logarithms (blocks,), scatters or jumps too much."""
+    count = len(frequency)
+    if count > 3 and float(np.std(frequency)) > TEXTURE_LIMITS.max_frequency_scatter:
         raise _TwoTextures(
             name,
-            f"two textures in one file, or none: the mean frequency varies from {math.exp(pitch.min()):.3g} to "
-            f"{math.exp(pitch.max()):.3g} Hz",
+            f"two textures in one file, or none: the mean frequency varies from {math.exp(frequency.min()):.3g} to "
+            f"{math.exp(frequency.max()):.3g} Hz",
         )
     for k in range(3, count - 2):
-        for values, least, what in (
-            (pitch, TEXTURE_LIMITS.min_pitch_step, "mean frequency"),
+        for values, min_step, what in (
+            (frequency, TEXTURE_LIMITS.min_frequency_step, "mean frequency"),
             (loudness, TEXTURE_LIMITS.min_loudness_step, "loudness"),
         ):
             one, other = values[:k], values[k:]
             step = float(other.mean() - one.mean())
             within = math.sqrt((k * float(np.var(one)) + (count - k) * float(np.var(other))) / (count - 2))
-            if abs(step) > least and abs(step) > TEXTURE_LIMITS.step_to_error * within * math.sqrt(
-                1 / k + 1 / (count - k)
-            ):
+            by_chance = TEXTURE_LIMITS.step_to_error * within * math.sqrt(1 / k + 1 / (count - k))
+            if abs(step) > min_step and abs(step) > by_chance:
                 raise _TwoTextures(
                     name,
                     f"two textures in one file: the {what} changes {math.exp(step):.2f}-fold at about "
@@ -764,8 +761,7 @@ def _check_peak(peak: Peak, autoregressive: bool, warnings: Warnings) -> None:
         add = warnings.note if autoregressive else warnings.add_fair
         add(
             f"the peak is not resolved: the spectrum is broad, or highest below {TEXTURE_LIMITS.min_frequency_hz:g} "
-            "Hz; it lies between 0 and "
-            f"{peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
+            f"Hz; the peak is below {peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
         )
     elif not autoregressive:
         warnings.check_interval("peak frequency", peak.hz)

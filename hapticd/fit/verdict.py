@@ -18,14 +18,14 @@ from hapticd.fit.recording import Recording
 
 _T = TypeVar("_T")
 Quality: TypeAlias = Literal["good", "fair", "poor"]
-WHOLE_RECORDING: Final = "recording"
+COMPLETE_RECORDING: Final = "recording"
 """Value of Exclusion.what if a complete recording was not used."""
 ONE_PART: Final = "part"
 """Value of Exclusion.what if a part of a recording was not used."""
 
 
 class Rule(NamedTuple):
-    """Limits of a value: beyond `fair` a fit is fair, beyond `poor` the fit is poor.
+    """Limits of a value: beyond `fair` the fit is fair, beyond `poor` the fit is poor.
 
     `reason` and `more` are format strings. Their fields are `value`, `percent` and the arguments of `Warnings.check`.
     """
@@ -57,7 +57,7 @@ LOWER_LIMITS: Final[Mapping[str, Rule]] = {
     "cycles from strike to strike": Rule(
         2.5,
         1.0,
-        "{name}: strikes follow within {value:.1f} cycles: their mode is hard to determine",
+        "{name}: strikes follow one another within {value:.1f} cycles: the mode is hard to determine",
         "stroke more slowly",
     ),
     "samples in a cycle": Rule(
@@ -70,12 +70,12 @@ LOWER_LIMITS: Final[Mapping[str, Rule]] = {
     "samples in a period of a waveform": Rule(
         4.0,
         4.0,
-        "the recordings have {value:.1f} samples in a period of its middle frequency",
+        "the recordings have {value:.1f} samples in a period of the middle frequency",
         "the waveform is not resolved: record faster",
     ),
     "punctures": Rule(3.0, 2.0, "{value:.0f} punctures are few", "ten are better"),
 }
-"""Rules by the name of the value. A value below a limit is a reason against the fit."""
+"""Rules by the name of the value; a value below a limit is a reason against the fit."""
 UPPER_LIMITS: Final[Mapping[str, Rule]] = {
     "half of a figure's interval": Rule(0.25, 0.5, "the {what} is uncertain: {within}"),
     "part of the loudness that is uncertain": Rule(
@@ -101,7 +101,7 @@ UPPER_LIMITS: Final[Mapping[str, Rule]] = {
         "--ar uses the recorded spectrum",
     ),
 }
-"""Rules by the name of the value. A larger value is a reason against the fit. All are fractions, except one in dB."""
+"""Rules by the name of the value; a value above a limit is a reason against the fit. Values are fractions, or dB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,13 +207,13 @@ class Exclusion:
 
     recording: str
     reason: str
-    what: str = WHOLE_RECORDING
-    """WHOLE_RECORDING, ONE_PART, or the kind of the event: `tap`."""
+    what: str = COMPLETE_RECORDING
+    """COMPLETE_RECORDING, ONE_PART, or the kind of the event: `tap`."""
     time_s: float | None = None
     """Time of the event after the first sample, in s."""
 
     def __str__(self) -> str:
-        if self.what == WHOLE_RECORDING:
+        if self.what == COMPLETE_RECORDING:
             return f"{self.recording}: left out: {self.reason}"
         if self.time_s is None:
             return f"{self.recording}: a {self.what} is left out: {self.reason}"
@@ -233,12 +233,12 @@ class Exclusions:
         """Names of recordings without a used event."""
         self._strict = strict
 
-    def add(self, recording: str, reason: str, what: str = WHOLE_RECORDING, time_s: float | None = None) -> None:
+    def add(self, recording: str, reason: str, what: str = COMPLETE_RECORDING, time_s: float | None = None) -> None:
         """Add the exclusion of `what`, by default the complete recording; raise StrictError if strict."""
-        left = Exclusion(recording, reason.removeprefix(f"{recording}: "), what, time_s)
+        exclusion = Exclusion(recording, reason.removeprefix(f"{recording}: "), what, time_s)
         if self._strict:
-            raise StrictError(f"{left}; --strict forbids exclusions")
-        self.items.append(left)
+            raise StrictError(f"{exclusion}; --strict forbids exclusions")
+        self.items.append(exclusion)
 
     def copy(self) -> Exclusions:
         """Return a copy that is not strict, for a fit whose result may be discarded."""
@@ -247,13 +247,13 @@ class Exclusions:
         return other
 
     def merge(self, other: Exclusions) -> None:
-        """Add the exclusions that were added to `other` after it was copied from this one."""
-        for left in other.items[len(self.items) :]:
-            self.add(left.recording, left.reason, left.what, left.time_s)
+        """Add the exclusions that `other`, a copy of this object, has collected since it was made."""
+        for each in other.items[len(self.items) :]:
+            self.add(each.recording, each.reason, each.what, each.time_s)
         self.unused |= other.unused
 
     def each(self, recordings: Iterable[Recording], fitted: Callable[[Recording], _T]) -> list[_T]:
-        """Return `fitted(recording)` of each recording; leave out those for which it raises FitError, with the reason.
+        """Return `fitted(recording)` of each recording; leave out recordings for which `fitted` raises FitError.
 
         UnitError and StrictError are passed on: a unit that is wrong in one recording is wrong in all.
         """
@@ -270,14 +270,14 @@ class Exclusions:
     @property
     def recordings(self) -> set[str]:
         """Names of the recordings of which nothing was used."""
-        return self.unused | {left.recording for left in self.items if left.what == WHOLE_RECORDING}
+        return self.unused | {each.recording for each in self.items if each.what == COMPLETE_RECORDING}
 
     def refused(self, few: str) -> FitError:
         """Return the error for too few usable recordings: the text `few` and up to three reasons.
 
-        If only a single recording was left out, the error is its reason.
+        If a single recording was left out, and nothing else, the error is the reason for that.
         """
-        complete = [left for left in self.items if left.what == WHOLE_RECORDING]
+        complete = [each for each in self.items if each.what == COMPLETE_RECORDING]
         if len(self.items) == len(complete) == 1:
             return FitError(f"{complete[0].recording}: {complete[0].reason}")
         if not self.items:
@@ -287,7 +287,7 @@ class Exclusions:
 
     def lines(self) -> list[str]:
         """Return one line of text for each exclusion."""
-        return [str(left) for left in self.items]
+        return [str(each) for each in self.items]
 
     def report(self, recordings: Sequence[Recording], warnings: Warnings) -> None:
         """Insert the exclusions before all other warnings; downgrade the verdict if many recordings are left out."""

@@ -3,12 +3,12 @@
     y_i(t) = a_i s(R (t - t_i)) + c_i, where s is the curve of hapticd.config.waveform
 
 The fit alternates two steps. For given amplitudes a_i, onsets t_i and offsets c_i, the samples of s at the rate R are
-fitted by linear least squares. For given s, a_i and c_i are fitted in the same way, and t_i is searched. Initially
-each onset is where the pulse crosses a fraction of its peak. s is interpolated as in the servo, so the fit includes the
-error of the interpolation. s is 0 at both ends, and its largest magnitude is 1 and positive.
+fitted by linear least squares. For given s, a_i and c_i are fitted in the same way, and t_i is searched. The search
+starts where the pulse crosses a fraction of its peak. s is interpolated as in the servo, so the fit includes the error
+of the interpolation. s is 0 at both ends, and its peak is 1.
 
-The explained variance of a tap is that of a shape fitted without this tap. The amplitude is the tap's largest
-acceleration; its law versus speed is chosen as for taps that ring.
+The explained variance of a tap is that by a shape fitted without this tap. The amplitude is the tap's largest
+acceleration; the law of amplitude versus speed is chosen as for taps that ring.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hapticd.fit.verdict import Exclusions, Warnings
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """The section of a recording that contains one contact, and the contact's approximate onset."""
+    """A section of a recording with one tap, and the approximate onset of this tap."""
 
     recording: str
     begin_s: float
@@ -50,12 +50,12 @@ class Pulse:
     """(n,) acceleration, m/s^2."""
 
     def until(self, end_s: float) -> Pulse:
-        """Return the pulse up to this time after its first sample."""
+        """Return the pulse without the samples later than `end_s` after its first sample."""
         return dataclasses.replace(self, measured=self.measured[: max(2, math.ceil(end_s * self.rate_hz))])
 
     @property
     def noise_m_per_s2(self) -> float:
-        """Standard deviation before the contact, or 0 for fewer than 6 samples."""
+        """Standard deviation of the acceleration before the onset, or 0 for fewer than 6 samples."""
         first = math.floor(self.onset_s * self.rate_hz)
         return float(np.std(self.measured[:first])) if first >= 6 else 0.0
 
@@ -66,18 +66,15 @@ class Pulse:
 
     @property
     def rest(self) -> float:
-        """Median of the acceleration before the contact, m/s^2."""
+        """Median of the acceleration before the onset, m/s^2."""
         first = max(1, math.floor(self.onset_s * self.rate_hz))
         return float(np.median(self.measured[:first]))
 
     def crossing_s(self) -> float:
-        """Return when the pulse rises above the fraction WAVEFORM_LIMITS.crossing of its peak, in s after its start."""
+        """Return the time, s after the first sample, at which the pulse rises above WAVEFORM_LIMITS.alignment_level."""
         size = np.abs(self.measured - self.rest)
-        level, peak = (
-            WAVEFORM_LIMITS.crossing * float(size.max()),
-            int(np.argmax(size >= WAVEFORM_LIMITS.large * size.max())),
-        )
-        below = np.flatnonzero(size[:peak] < level)
+        level = WAVEFORM_LIMITS.alignment_level * float(size.max())
+        below = np.flatnonzero(size[: int(np.argmax(size >= WAVEFORM_LIMITS.rise_end_level * size.max()))] < level)
         if not len(below):
             return 0.0
         before = int(below[-1])
@@ -104,7 +101,7 @@ def pulses_of(recordings: Sequence[Recording], lines: list[str], excluded: Exclu
 
 
 def _pulse(loud: Events, index: int) -> Pulse:
-    """Return an event with up to 20 ms of rest before it; raise Unusable if it cannot be used."""
+    """Return the pulse of an event, with up to 20 ms of rest before the onset; raise Unusable if it cannot be used."""
     first, (before, after) = loud.events[index].first, loud.section(index)
     name, rate_hz = loud.recording.name, loud.recording.rate_hz
     begin = max(before, first - max(TAP_LIMITS.min_rest_samples, round(0.02 * rate_hz)))
@@ -114,7 +111,7 @@ def _pulse(loud: Events, index: int) -> Pulse:
     return Pulse(name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, loud.acceleration[begin:end])
 
 
-# ---- Model: the shape that they have in common -----------------------------------------------------------------------
+# ---- Model: the common shape of the pulses ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,25 +126,25 @@ class FittedPulse:
     """Sum of squares of the residual."""
 
     def modelled(self, shape: Curve, pulse: Pulse) -> Floats:
-        """Return the modelled acceleration of the pulse (n,), m/s^2."""
+        """Return the acceleration (n,), m/s^2, of this shape at the samples of the pulse."""
         return np.asarray(self.amplitude * shape.at(pulse.since_s - self.onset_s) + self.offset)
 
     def explained(self, shape: Curve, pulse: Pulse, noise_m_per_s2: float = 0.0) -> float:
-        """Return the fraction of the pulse's variance about its offset that the shape explains while the shape lasts.
+        """Return the fraction of the pulse's variance, while the shape lasts, that the shape explains.
 
-        The variance of noise with the given standard deviation is subtracted.
+        The variance is about the offset, less that of the noise with the given standard deviation.
         """
         since = pulse.since_s - self.onset_s
         here = (since >= 0) & (since <= shape.length_s)
         above = pulse.measured[here] - self.offset
         left = pulse.measured[here] - self.modelled(shape, pulse)[here]
         noise = noise_m_per_s2**2 * len(left)
-        heard = float(above @ above) - noise
-        return min(1.0, 1.0 - (float(left @ left) - noise) / heard) if heard > 0 else 0.0
+        energy = float(above @ above) - noise
+        return min(1.0, 1.0 - (float(left @ left) - noise) / energy) if energy > 0 else 0.0
 
 
 class Equations:
-    """Normal equations for the samples 1 .. count - 2 of a shape, separately for each pulse."""
+    """Normal equations of each pulse for the shape's `count` samples, without the first and the last, which are 0."""
 
     def __init__(self, pulses: Sequence[Pulse], fitted: Sequence[FittedPulse], rate_hz: float, count: int) -> None:
         from scipy.sparse import csr_array
@@ -167,7 +164,7 @@ class Equations:
                     x * x * (x - 1),
                 )
             )
-            # Weights of the sample before and three more; two columns at each end are for the zeros there.
+            # Weights of four neighbouring samples; two columns at each end are for the zeros there.
             places = (k[:, None] + np.arange(4)).ravel(), np.arange(0, 4 * len(k) + 1, 4)
             shape = (len(k), count + 2)
             rows = csr_array((where.amplitude * weights.ravel(), *places), shape=shape)[:, 2:-2]
@@ -179,7 +176,7 @@ class Equations:
         self._smooth = 1e-4 * float(np.mean(np.diag(self._gram))) * (bends.T @ bends)
 
     def solved(self, without: int | None = None) -> Floats:
-        """Return the shape's samples (count,), whose first and last are 0; pulse `without` is left out."""
+        """Return the shape's samples (count,), fitted to all pulses, or to all but that of index `without`."""
         from scipy.linalg import solve
 
         gram, side = self._gram, self._side
@@ -188,7 +185,10 @@ class Equations:
         return np.pad(solve(gram + self._smooth, side, assume_a="pos", check_finite=False), 1)
 
     def deviations(self, samples: Floats) -> Floats:
-        """Return standard errors of the samples (count,) from the differences between pulses (sandwich estimator)."""
+        """Return the standard errors (count,) of these samples, from the differences between pulses.
+
+        This is the sandwich estimator of linear regression.
+        """
         from scipy.linalg import solve
 
         left = np.column_stack([side - gram @ samples[1:-1] for gram, side in self._own])
@@ -198,9 +198,9 @@ class Equations:
 
 
 def _fit_pulse(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> FittedPulse:
-    """Return the pulse fitted by this shape, its onset searched up to `reach_s` from `near_s`.
+    """Return the fit of a pulse by this shape; the onset is searched up to `reach_s` from `near_s`.
 
-    The best of nine onsets in a range is taken four times; each time the range is a quarter of the previous one.
+    Four times, the best of nine onsets is taken; each time their range is a quarter of the previous one.
     """
     best: FittedPulse | None = None
     middle_s = near_s
@@ -228,16 +228,16 @@ def _fit_pulse(shape: Curve, pulse: Pulse, near_s: float, reach_s: float) -> Fit
 
 
 def _normalized(samples: Floats, rate_hz: float) -> tuple[Floats, Curve]:
-    """Return the samples scaled so that the curve's largest magnitude is 1 and positive, and the curve."""
+    """Return the samples of a curve whose peak, the value of largest magnitude, is scaled to 1, and this curve."""
     curve = Curve(samples, rate_hz)
-    largest = float(curve.at(curve.peak_time_s))
-    scaled = samples / largest if largest else samples
+    peak = float(curve.at(curve.peak_time_s))
+    scaled = samples / peak if peak else samples
     return scaled, Curve(scaled, rate_hz)
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The common waveform of some pulses, and these pulses fitted by it."""
+    """The common waveform of some pulses, and the fits of these pulses by the waveform."""
 
     pulses: tuple[Pulse, ...]
     fitted: tuple[FittedPulse, ...]
@@ -250,7 +250,7 @@ class Shape:
     def of(
         cls, pulses: Sequence[Pulse], fitted: Sequence[FittedPulse], rate_hz: float, count: int, rounds: int = 6
     ) -> Shape:
-        """Return the shape with `count` samples at this rate, starting from the fitted pulses `fitted`."""
+        """Fit a shape with `count` samples at this rate; `fitted` are the initial fits of the pulses."""
         found = list(fitted)
         reach_s = 2.0 / rate_hz
         for done in range(rounds + 1):
@@ -276,23 +276,23 @@ class Shape:
         return Equations(self.pulses, self.fitted, self.rate_hz, len(self.samples))
 
     def explained(self) -> tuple[Floats, Floats]:
-        """Return the fraction (n,) of each pulse's variance, with and without noise, that the other pulses explain."""
+        """Return the fractions (n,) of each pulse's variance, with and without noise, that the other pulses explain."""
         equations = self.equations
-        shares = []
+        fractions = []
         for index, (pulse, where) in enumerate(zip(self.pulses, self.fitted, strict=True)):
             _, other = _normalized(equations.solved(without=index), self.rate_hz)
             alone = _fit_pulse(other, pulse, where.onset_s, 2.0 / self.rate_hz)
-            shares.append([alone.explained(other, pulse, noise) for noise in (0.0, pulse.noise_m_per_s2)])
-        explains = np.array(shares)
+            fractions.append([alone.explained(other, pulse, noise) for noise in (0.0, pulse.noise_m_per_s2)])
+        explains = np.array(fractions)
         return explains[:, 0], explains[:, 1]
 
     def trimmed(self, rest: int) -> tuple[Shape, bool]:
         """Return the shape without rest before or after the pulse, and whether the shape's end is faded out.
 
-        The first `rest` samples are before the contact. The shape begins at the last sample before its rise that is
+        The first `rest` samples are before the onset. The new shape begins at the last sample before the rise that is
         within three standard errors of the rest. It ends where the energy of later samples, less that of twice their
-        standard errors, is below WAVEFORM_LIMITS.max_faint_energy. Its rate is that of the recordings, unless that
-        gives too many samples.
+        standard errors, is below WAVEFORM_LIMITS.max_faint_energy. The rate of the recordings is lowered if the new
+        shape would have too many samples.
         """
         samples, rate_hz, equations = self.samples, self.rate_hz, self.equations
         quiet = samples[1 : 1 + rest]
@@ -304,7 +304,7 @@ class Shape:
         if not total > 0:
             raise FitError("the taps have no common waveform that is larger than their differences")
         ahead = np.flatnonzero(np.cumsum(energy) <= WAVEFORM_LIMITS.max_faint_energy * total)
-        rise = int(np.argmax(np.abs(samples) >= WAVEFORM_LIMITS.large * np.abs(samples).max()))
+        rise = int(np.argmax(np.abs(samples) >= WAVEFORM_LIMITS.rise_end_level * np.abs(samples).max()))
         at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= 3.0 * noise[:rise])
         begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
         left, end = 0.0, len(samples) - 1
@@ -316,7 +316,7 @@ class Shape:
         end = min(len(samples) - 1, end + 1)
         faded = (
             end == len(samples) - 1
-            and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > WAVEFORM_LIMITS.max_end
+            and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > WAVEFORM_LIMITS.max_end_level
         )
         length_s = (end - begin) / rate_hz
         finer_hz = min(min(pulse.rate_hz for pulse in self.pulses), (MAX_WAVEFORM_SAMPLES - 1) / max(length_s, 1e-9))
@@ -326,26 +326,26 @@ class Shape:
         pulses = [pulse.until(each.onset_s + 1.3 * length_s) for pulse, each in zip(self.pulses, moved, strict=True)]
         found = Shape.of(pulses, moved, finer_hz, count, rounds=4)
         if faded:
-            over = max(2, round(WAVEFORM_LIMITS.fade * count))
+            over = max(2, round(WAVEFORM_LIMITS.fade_out_fraction * count))
             found.samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
             found.samples[-1] = 0.0
         return found, faded
 
     def coarser(self) -> Shape:
-        """Return the shape with fewer samples: the rate is halved while halving costs at most 1e-4 of the variance."""
-        least, shape = float(np.median(self.explained()[1])) - WAVEFORM_LIMITS.max_coarse_loss, self
+        """Return the shape with fewer samples: the rate is halved while this loses at most 1e-4 of the variance."""
+        enough, shape = float(np.median(self.explained()[1])) - WAVEFORM_LIMITS.max_coarse_loss, self
         while True:
             count = math.ceil((len(shape.samples) - 1) / 2) + 1
             if count < WAVEFORM_LIMITS.min_samples or shape.rate_hz < 200:
                 return shape
             tried = Shape.of(self.pulses, shape.fitted, shape.rate_hz / 2, count, rounds=2)
-            if float(np.median(tried.explained()[1])) < least:
+            if float(np.median(tried.explained()[1])) < enough:
                 return shape
             shape = tried
 
 
 def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
-    """Return the common waveform of 3 or more pulses, and whether its end is faded out.
+    """Return the common waveform of three or more pulses, and whether the waveform's end is faded out.
 
     Raises FitError if the pulses have no common waveform.
     """
@@ -378,10 +378,10 @@ def shape_of(pulses: Sequence[Pulse]) -> tuple[Shape, bool]:
 def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     """Return half the 95 % intervals of the shape's samples (count,), and of a common factor of all amplitudes.
 
-    Each adds two errors in quadrature. The first is from a jackknife over the pulses, or over 16 groups of pulses,
-    with all onsets fitted again. The second is the interpolation error, from the change in a fit with twice as many
-    samples: for a sample the RMS change up to half a sample from it; for the amplitudes their change and the RMS change
-    of the curve, because the error of a peak between samples is at least that of the curve.
+    Two errors are added in quadrature. The first is from a jackknife over the pulses, or over 16 groups of pulses, with
+    all onsets fitted again. The second is the interpolation error, estimated from a fit with twice as many samples. For
+    a sample it is the RMS change of the curve up to half a sample away. For the amplitudes it is their own change and
+    the RMS change of the curve, because a peak between samples has at least the error of the curve.
     """
     count, groups = len(shape.samples), min(len(shape.pulses), WAVEFORM_LIMITS.max_groups)
     samples, sizes = [], []
@@ -395,7 +395,7 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
     between_s = np.arange(2 * count - 1) / (2 * shape.rate_hz)
     changes = (WAVEFORM_LIMITS.error_to_change * (finer.samples - shape.curve.at(between_s))) ** 2
     # The faded end does not affect the amplitudes.
-    unfaded = changes[: math.floor((1 - WAVEFORM_LIMITS.fade) * len(changes))] if faded else changes
+    unfaded = changes[: math.floor((1 - WAVEFORM_LIMITS.fade_out_fraction) * len(changes))] if faded else changes
     off = WAVEFORM_LIMITS.error_to_change * (_ratio(finer.fitted, shape.fitted) - 1.0)
     # Squares are averaged over five neighbours, fewer near the ends: of few taps some are small by chance.
     squares = jackknife_error(np.array(samples))[1:-1] ** 2
@@ -409,7 +409,7 @@ def _uncertain(shape: Shape, faded: bool) -> tuple[Floats, float]:
 
 
 def _widened(estimate: Estimate, fraction: float) -> Estimate:
-    """Return the estimate with a further error, this `fraction` of its value, added in quadrature."""
+    """Return the estimate with a wider interval: a further error, a `fraction` of the value, is added in quadrature."""
     value, further = estimate.value, fraction * estimate.value
     low, high = math.hypot(value - estimate.low, further), math.hypot(estimate.high - value, further)
     return Estimate(value, value - low, value + high)
@@ -426,7 +426,7 @@ def _ratio(found: Sequence[FittedPulse], before: Sequence[FittedPulse]) -> float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PulseHit:
-    """One tap fitted by the waveform, with the fitted section of the recording."""
+    """A tap fitted by a waveform, with the fitted section of the recording."""
 
     recording: str
     onset_s: float
@@ -493,8 +493,8 @@ class WaveformFit(Fit):
 def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Exclusions) -> WaveformFit:
     """Fit the common waveform of taps that are pulses.
 
-    `earlier` are the warnings of the search for the pulses. Unusable taps are added to `excluded`. Raises
-    FitError (one line) if the pulses do not support a fit.
+    `earlier` are the warnings of the search for the pulses. Unusable taps are added to `excluded`. Raises FitError (one
+    line) if the pulses do not support a fit.
     """
     pulses, shape, faded, explained = _alike(pulses, earlier, excluded)
     lines = [*excluded.lines(), *earlier]
@@ -509,12 +509,12 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
             onset_s=pulse.begin_s + fitted.onset_s,
             speed_m_per_s=pulse.speed_m_per_s,
             peak_m_per_s2=abs(fitted.amplitude),
-            variance_accounted_for=float(share),
+            variance_accounted_for=float(fraction),
             rate_hz=pulse.rate_hz,
             measured=pulse.measured,
             modelled=fitted.modelled(curve, pulse),
         )
-        for pulse, fitted, share in zip(pulses, shape.fitted, explained, strict=True)
+        for pulse, fitted, fraction in zip(pulses, shape.fitted, explained, strict=True)
     )
     speed_law.check_speeds(hits)
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
@@ -522,14 +522,15 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     line = through_origin(speeds, peaks, variances, speeds**2)
     slope = _widened(line.coefficients[0], of_amplitudes)
     speed_law.check_slope(slope)
-    share = float(np.median(explained))
+    fraction = float(np.median(explained))
     resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
     law = speed_law.law_of(speeds, peaks, variances)
     warnings = Warnings()
-    warnings.check("variance that a waveform explains", share)
+    warnings.check("variance that a waveform explains", fraction)
     if faded:
         reason = f"the pulses have not ended after {1e3 * curve.length_s:.3g} ms"
-        warnings.add(False, reason, f"the waveform is faded out over its last {100 * WAVEFORM_LIMITS.fade:.0f} %")
+        percent = 100 * WAVEFORM_LIMITS.fade_out_fraction
+        warnings.add(False, reason, f"the waveform is faded out over its last {percent:.0f} %")
     warnings.check("samples in a period of a waveform", resolved)
     speed_law.check_law(warnings, law, line.r_squared)
     excluded.report_taps(len(hits), warnings)
@@ -546,10 +547,10 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
         length_s=curve.length_s,
         samples_a_period=resolved,
         r_squared=line.r_squared,
-        variance_accounted_for=share,
+        variance_accounted_for=fraction,
         warnings=tuple(lines + warnings.lines),
         judged=warnings.verdict(
-            f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
+            f"a waveform explains {100 * fraction:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {r_squared:.3f})",
         ),
         left_out=tuple(excluded.items),
@@ -559,9 +560,9 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
 def _alike(
     pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Exclusions
 ) -> tuple[Sequence[Pulse], Shape, bool, Floats]:
-    """Return the pulses that have a common shape, the shape, whether it is faded out, and the variance it explains.
+    """Return the pulses with a common shape, the shape, whether it is faded out, and the explained variances (n,).
 
-    A pulse's explained variance (n,) is that by the shape of the others. Pulses of other shape are added to `excluded`.
+    The explained variance of a pulse is that by the shape of the others. Pulses of other shape are added to `excluded`.
     """
     if len(pulses) < WAVEFORM_LIMITS.min_pulses:
         reasons = [*excluded.lines(), *earlier]
@@ -573,11 +574,11 @@ def _alike(
     explained, without_noise = shape.explained()
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.fitted])))
     kept = []
-    for pulse, fitted, share in zip(pulses, shape.fitted, without_noise, strict=True):
-        if share < WAVEFORM_LIMITS.min_explained:
-            reason = f"the waveform of the others explains {100 * share:.0f} % of it"
+    for pulse, fitted, fraction in zip(pulses, shape.fitted, without_noise, strict=True):
+        if fraction < WAVEFORM_LIMITS.min_explained:
+            reason = f"the waveform of the others explains {100 * fraction:.0f} % of the variance"
         elif fitted.amplitude * usual <= 0:
-            reason = "it pushes with the other sign"
+            reason = "pushes with the opposite sign"
         else:
             kept.append(pulse)
             continue
@@ -586,7 +587,7 @@ def _alike(
         return pulses, shape, faded, explained
     if len(kept) < max(WAVEFORM_LIMITS.min_pulses, len(pulses) / 2):
         raise FitError(
-            f"{len(pulses) - len(kept)} of {len(pulses)} taps have another waveform than the others: is it one "
+            f"{len(pulses) - len(kept)} of {len(pulses)} taps have another waveform than the others: are all of one "
             "material, tapped in the same way?"
         )
     shape, faded = shape_of(kept)
@@ -594,11 +595,11 @@ def _alike(
 
 
 def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:
-    """Return the variances (n,) of the pulses' amplitudes, from the residuals."""
+    """Return the variances (n,) of the pulses' amplitudes, (m/s^2)^2, from the residuals."""
     found = []
     for pulse, fitted in zip(pulses, shape.fitted, strict=True):
-        heard = shape.curve.at(pulse.since_s - fitted.onset_s)
-        own = float(heard @ heard)
-        noise = max(fitted.squares, 1e-18 * fitted.amplitude**2) / max(1, len(heard) - 3)
+        curve = shape.curve.at(pulse.since_s - fitted.onset_s)
+        own = float(curve @ curve)
+        noise = max(fitted.squares, 1e-18 * fitted.amplitude**2) / max(1, len(curve) - 3)
         found.append(noise / max(own, 1e-12))
     return np.array(found)

@@ -265,7 +265,7 @@ def test_csv_is_read_as_people_write_it(tmp_path: Path, content: bytes) -> None:
 def test_units_in_the_file_are_taken_where_the_yaml_says_none(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["time_s,position_m,force_n", "s,mm,lbf", *lines()]))
-    assert "unknown unit of force 'lbf', known: N, mN, kN: name it in " in refused(path)
+    assert "unknown unit of force 'lbf', known: N, mN, kN: set the unit in " in refused(path)
     Path(f"{path}.yaml").write_text("columns: {time: {column: 1}, position: {column: 2}, force: {column: 3, unit: mN}}")
     found = load(path)
     assert found.position_m == pytest.approx([1e-3 * row[1] for row in ROWS])

@@ -1,4 +1,4 @@
-"""Grooves with known truth, and what is refused."""
+"""Grooves: fits of synthetic strokes with known parameters, and refusals."""
 
 import dataclasses
 from collections.abc import Callable
@@ -51,7 +51,7 @@ def strokes(
     [(0.002, 200.0, 0.003), (0.00076, 350.0, 0.008), (0.0024, 1682.0, 0.003)],
 )
 def test_the_truth_is_found(spacing_m: float, frequency_hz: float, decay_time_s: float) -> None:
-    """The second rings on from groove to groove, the third is as fast as steel."""
+    """The second comb still rings at the next groove; the frequency of the third is that of steel."""
     fit = fit_grooves(strokes(comb(spacing_m, frequency_hz, decay_time_s), 1))
     assert fit.spacing_m.value == pytest.approx(spacing_m, rel=0.005)
     assert fit.frequency_hz.value == pytest.approx(frequency_hz, rel=0.005)
@@ -66,7 +66,7 @@ def test_the_truth_is_found(spacing_m: float, frequency_hz: float, decay_time_s:
 
 @pytest.mark.slow
 def test_backwards_and_by_speed_alone() -> None:
-    """A stroke to the left strikes to the left; without a position, speed gives the spacing."""
+    """A stroke to the left has strikes to the left; without a position, the speed gives the spacing."""
     material = comb()
     recordings = []
     for k, (speed, force) in enumerate(PLACES):
@@ -81,7 +81,7 @@ def test_backwards_and_by_speed_alone() -> None:
 
 
 @pytest.mark.slow
-def test_a_frequency_that_moves_with_speed_is_told() -> None:
+def test_a_frequency_that_moves_with_speed_is_reported() -> None:
     fit = fit_grooves(strokes(lambda speed: comb(frequency_hz=200.0 if speed < 0.06 else 220.0), 2))
     assert any("changes with speed" in warning for warning in fit.warnings)
     assert fit.frequency_per_speed_hz_s_per_m is not None
@@ -90,7 +90,7 @@ def test_a_frequency_that_moves_with_speed_is_told() -> None:
 
 @pytest.mark.slow
 def test_knocks_do_not_pull_the_gains() -> None:
-    """One in each stroke, eight times as hard as its groove."""
+    """Each stroke has one knock, eight times as strong as a strike."""
     recordings = []
     for recording in strokes(comb(), 4):
         heard = recording.acceleration_m_per_s2
@@ -108,8 +108,8 @@ def test_knocks_do_not_pull_the_gains() -> None:
 
 
 @pytest.mark.slow
-def test_strikes_are_looked_for_again_with_the_mode_that_was_found() -> None:
-    """Of this stroke the first mode makes 185 of 75 strikes."""
+def test_strikes_are_searched_again_with_the_fitted_mode() -> None:
+    """With the first mode, 185 strikes are found in this stroke of 75 grooves."""
     one = grooves(
         comb(0.00076, 350.0, 0.008),
         0.06727180704951209,
@@ -124,7 +124,7 @@ def test_strikes_are_looked_for_again_with_the_mode_that_was_found() -> None:
 
 
 @pytest.mark.long
-def test_few_samples_in_a_cycle_are_told() -> None:
+def test_few_samples_in_a_cycle_are_reported() -> None:
     recordings = [
         grooves(comb(), speed, force, Stylus(seed=k, rate_hz=1000.0), Hand(), 0.02)
         for k, (speed, force) in enumerate(PLACES)
@@ -147,7 +147,7 @@ def test_sandpaper_is_no_comb() -> None:
 
 
 def test_the_estimate_is_that_of_least_squares_without_outliers() -> None:
-    """To what a weight of 1 - (r/4.7)^2 does; and it stays there with outliers."""
+    """Without outliers the robust estimate is nearly that of least squares, and outliers change it little."""
     random = np.random.default_rng(5)
     columns = random.uniform(1, 2, (400, 2))
     y = columns @ [3.0, 5.0] + 0.1 * random.standard_normal(400)
@@ -167,7 +167,7 @@ SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
     (lambda each: {"force_n": 1e-6 * each.force_n}, "too small"),
     (lambda each: {"tangential_position_m": 1e3 * each.tangential_position_m}, "in mm"),
     (lambda each: {"tangential_position_m": 0 * each.tangential_position_m}, "never moves"),
-    (lambda each: {"speed_m_per_s": np.full(7, 0.1)}, "holds 7 speeds"),
+    (lambda each: {"speed_m_per_s": np.full(7, 0.1)}, "7 speeds for"),
     (lambda each: {"acceleration_m_per_s2": np.minimum(each.acceleration_m_per_s2, 30.0)}, "clipped"),
 ]
 
@@ -175,13 +175,13 @@ SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
 @pytest.mark.parametrize(("changed", "reason"), SPOILT)
 def test_refusals_say_why(changed: Callable[[Recording], dict[str, object]], reason: str) -> None:
     first = strokes(comb(), 3, duration_s=0.5)[0]
-    with pytest.raises(FitError, match=reason) as told:
+    with pytest.raises(FitError, match=reason) as caught:
         fit_grooves([dataclasses.replace(first, **changed(first))])
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.slow
-def test_one_speed_and_one_force_cannot_be_told_apart() -> None:
+def test_one_speed_and_one_force_cannot_be_separated() -> None:
     hand = Hand(speed_swing=0.0, force_swing=0.0)
     with pytest.raises(FitError, match="be separated"):
         fit_grooves([grooves(comb(), 0.05, 1.0, Stylus(seed=k), hand) for k in range(2)])

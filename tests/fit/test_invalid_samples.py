@@ -23,7 +23,7 @@ RATE = 1000.0
 COUNT = 2000
 AT = 700
 SECOND = AT / RATE
-"""When AT is."""
+"""Time of sample AT."""
 Change = Callable[[Floats], None]
 
 
@@ -93,14 +93,14 @@ FOUND: Mapping[str, tuple[str, Change, str, int]] = {
 
 
 @pytest.mark.parametrize("which", FOUND)
-def test_what_cannot_be_is_named_with_its_place_and_replaced(which: str) -> None:
-    """By what was there, within its noise: of a smooth column the straight line is that."""
-    name, change, told, samples = FOUND[which]
+def test_impossible_samples_are_reported_with_place_and_replaced(which: str) -> None:
+    """A straight line replaces the samples; in a smooth column it is within the noise of the true values."""
+    name, change, message, samples = FOUND[which]
     clean = stroke()
     kept = without_invalid_samples(spoilt(clean, name, change), "texture")
     (line,) = kept.warnings
     assert line.startswith("a: ")
-    assert told in line
+    assert message in line
     assert np.count_nonzero(kept.replaced) == samples
     assert kept.replaced[AT] or kept.replaced[AT + 1]
     if name != "acceleration_m_per_s2":
@@ -110,9 +110,8 @@ def test_what_cannot_be_is_named_with_its_place_and_replaced(which: str) -> None
 
 
 @pytest.mark.parametrize("kind", ["tap", "grooves", "texture", "puncture"])
-def test_what_can_be_is_left_alone(kind: str) -> None:
-    """A hand that rests between two strokes, coarse encoders, positions that came slowly and were held, a force that
-    breaks off."""
+def test_possible_samples_are_not_replaced(kind: str) -> None:
+    """A rest between two strokes, coarse encoders, positions that come slowly and are held, and a force that ends."""
     plain = stroke()
     time = np.arange(COUNT) / RATE
     place = np.interp(time, [0, 0.5, 0.9, 1.5, 2], [0, 0, 0.2, 0.2, 0])
@@ -136,18 +135,18 @@ def test_what_can_be_is_left_alone(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         ("force_n", "the force of 900 N at 0.7 s is impossible (at most 200), and so are 1.5 % of the samples"),
         ("speed_m_per_s", "the speed of 900 m/s at 0.7 s is impossible (at most 5)"),
         ("acceleration_m_per_s2", "is it in another unit"),
     ],
 )
-def test_what_cannot_be_and_is_much_of_it_is_refused(name: str, told: str) -> None:
+def test_many_impossible_samples_are_refused(name: str, message: str) -> None:
     value = 9e7 if name == "acceleration_m_per_s2" else 900.0
     with pytest.raises(FitError) as caught:
         without_invalid_samples(spoilt(stroke(), name, at(value, 30)), "grooves")
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_position_that_leaps_again_and_again_is_refused() -> None:
@@ -187,7 +186,7 @@ def strokes() -> tuple[Recording, ...]:
 
 
 def by_speed(recording: Recording) -> Recording:
-    """With a column of speeds instead of the position."""
+    """Return the recording with a column of speeds instead of the position."""
     place = recording.tangential_position_m
     assert place is not None
     speed = np.convolve(np.abs(np.gradient(place)) * recording.rate_hz, np.ones(51) / 51, "valid")
@@ -208,7 +207,7 @@ def by_speed(recording: Recording) -> Recording:
     ],
 )
 def test_textures_do_not_follow_a_wild_sample(name: str, change: Change, place: str) -> None:
-    """The gains are those without it, within a fifth of their intervals."""
+    """The gains are those without the wild sample, within a fifth of their intervals."""
     clean = list(strokes())
     if name == "speed_m_per_s":
         clean = [by_speed(each) for each in clean]
@@ -266,7 +265,7 @@ def test_punctures_do_not_follow_a_wild_sample(name: str, change: Change) -> Non
 
 @pytest.mark.slow
 def test_taps_do_not_follow_a_wild_sample() -> None:
-    """A single sample of the acceleration hid all the taps: they were less than a twentieth of it."""
+    """One wild sample would hide all taps, whose peaks are less than a twentieth of it."""
     tap = shipped_materials()["wood"].tap
     clean, _ = taps(tap, np.linspace(0.1, 0.4, 6), Stylus(seed=1))
     truth = fit_tap([clean])

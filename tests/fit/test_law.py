@@ -1,4 +1,4 @@
-"""The law of a tap's amplitude over the speed: what is chosen, by which criterion, and how it is written."""
+"""The law of a tap's amplitude versus speed: the chosen law, the criterion, and the points of a power law."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_points_of_a_power_law_are_as_near_to_it_as_they_say(exponent: float
 
 
 def test_the_criterion_is_that_of_its_definition() -> None:
-    """Where the scatter is all of the error and in proportion to the amplitude, weights are those of the amplitudes."""
+    """If the error is only scatter proportional to the amplitude, the weights are those of the amplitudes."""
     amplitudes = scattered(100 * SPEEDS**0.5, 0.03, 4)
     law = law_of(SPEEDS, amplitudes, np.full(12, 1e-12))
     weights = 1 / (100 * SPEEDS**0.5) ** 2
@@ -63,9 +63,9 @@ def test_the_criterion_is_that_of_its_definition() -> None:
 @pytest.mark.slow
 def test_a_line_is_seldom_taken_for_another_law() -> None:
     kinds = [law_of(SPEEDS, scattered(500 * SPEEDS, 0.1, seed), np.full(12, 1e-6)).kind for seed in range(60)]
-    # Of AICc lower by 2 by luck; by a bound of the binomial distribution of 10 %.
+    # About 10 % of the sets have an AICc lower by 2 by chance; more than 12 of 60 are improbable.
     assert sum(kind != "line" for kind in kinds) <= 12
-    # What differs by less than 5 % is a line, however certain.
+    # A law that differs from the line by less than 5 % is a line, however certain.
     assert law_of(SPEEDS, 500 * SPEEDS**1.01, np.full(12, 1e-9)).kind == "line"
 
 

@@ -1,4 +1,4 @@
-"""Fits of sets with a bad file or a bad event: it is left out and told, the rest is fitted, and --strict refuses."""
+"""Fits of sets with a bad file or event, which is left out and reported; --strict refuses the set."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ KINDS: Final = ("tap", "grooves", "texture", "puncture")
 
 
 def one_tap(speed: float, seed: int, hz: float = 300.0, rest: int = 2000, rate_hz: float = RATE_HZ) -> Columns:
-    """400 1/s, decay 10 ms."""
+    """Return a tap with a slope of 400 1/s and a decay time of 10 ms."""
     time_s = np.arange(rest + round(0.2 * rate_hz)) / rate_hz
     seen = 9.8 + ringing(time_s, (rest - 0.7) / rate_hz, 400 * speed, hz, 0.01)
     noise = np.random.default_rng(seed).standard_normal(len(time_s))
@@ -48,12 +48,12 @@ def silent(columns: Columns) -> Columns:
 
 
 def too_fast(columns: Columns) -> Columns:
-    """A ringing of 4950 Hz over all that is there."""
+    """Replace the acceleration by a ringing of 4950 Hz, too fast for the sampling rate."""
     return {**columns, SEEN: 9.8 + ringing(columns[TIME], 0.2, 100, 4950, 0.01)}
 
 
 def lost(columns: Columns) -> Columns:
-    """The last 20 samples but ten."""
+    """Remove 20 samples, ten before the end."""
     kept = np.delete(np.arange(len(columns[TIME])), np.arange(-30, -10))
     return {name: values[kept] for name, values in columns.items()}
 
@@ -68,21 +68,21 @@ MORE: Final[dict[str, Columns]] = {
     "grooves": {**GOOD["grooves"][0], SEEN: GOOD["grooves"][0][SEEN] + 0.01},
     "texture": {**GOOD["texture"][0], SEEN: GOOD["texture"][0][SEEN] + 0.01},
 }
-"""One recording more."""
+"""One more recording of each kind, to be damaged."""
 
 
 def fitted(folder: Path, capsys: pytest.CaptureFixture[str], kind: str, files: list[str]) -> tuple[str, list[str]]:
-    """The material's YAML without its provenance, and what was told."""
+    """Return the material without its provenance, as JSON with the number of files, and the lines on stderr."""
     assert main(["fit", kind, *files, "-o", str(folder / "found.yaml"), "--overwrite"]) == 0
     material = load_config(str(folder / "found.yaml")).materials["found"].to_dict()
     origin = material.pop("provenance")
     assert isinstance(origin, dict) and all(file["path"] in files for file in origin["files"])
-    told = capsys.readouterr().err.splitlines()
-    return json.dumps([material, len(origin["files"])]), told
+    message = capsys.readouterr().err.splitlines()
+    return json.dumps([material, len(origin["files"])]), message
 
 
 BAD: Final = (
-    ("tap", clip, "it is clipped at"),
+    ("tap", clip, ": clipped at"),
     ("tap", silent, "no onset: the largest acceleration is"),
     ("tap", too_fast, "sampling rate of 10000 Hz is too low"),
     ("puncture", clip, "the ringing of the rupture is clipped at"),
@@ -98,16 +98,16 @@ BAD: Final = (
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("kind", "damage", "told"), rest_slow(BAD, fast=3))
+@pytest.mark.parametrize(("kind", "damage", "message"), rest_slow(BAD, fast=3))
 def test_a_bad_file_is_left_out_and_the_rest_fitted_as_without_it(
-    kind: str, damage: object, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kind: str, damage: object, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert callable(damage)
     *good, bad = written(tmp_path, [*SETS[kind], damage(MORE[kind])])
     alone, _ = fitted(tmp_path, capsys, kind, good)
     beside, lines = fitted(tmp_path, capsys, kind, [bad, *good])
     (line,) = (line for line in lines if "left out" in line)
-    assert line.startswith(f"hapticd: {bad}: ") and told in line
+    assert line.startswith(f"hapticd: {bad}: ") and message in line
     assert beside == alone
     assert "--strict forbids exclusions" in said(capsys, 1, "fit", kind, bad, *good, "--strict")
 
@@ -116,8 +116,7 @@ def test_a_bad_file_is_left_out_and_the_rest_fitted_as_without_it(
 def test_a_gap_far_from_what_is_fitted_costs_nothing_else(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """20 of the last samples are lost: a tap and a puncture are the same as without the file's end; of strokes the
-    figures stay as they are within a few per cent."""
+    """20 samples near the end are lost: fits of taps and punctures ignore this, and strokes leave out a part."""
     files = written(tmp_path, [*SETS[kind][1:], lost(SETS[kind][0])])
     assert main(["fit", kind, *files, "-o", str(tmp_path / "found.yaml")]) == 0
     lines = capsys.readouterr().err
@@ -145,7 +144,7 @@ def test_a_gap_in_a_tap_leaves_that_tap_out() -> None:
 
 
 def taps_of(speeds: list[float], noise: float = 0.3) -> Recording:
-    """At 0.2 s + 0.3 s k: 400 1/s, 300 Hz, 10 ms."""
+    """Return taps of 400 1/s, 300 Hz and 10 ms, one every 0.3 s from 0.2 s on."""
     time_s = np.arange(round((0.2 + 0.3 * len(speeds)) * RATE_HZ)) / RATE_HZ
     seen = np.full(len(time_s), 9.8) + noise * np.random.default_rng(2).standard_normal(len(time_s))
     for index, speed in enumerate(speeds):
@@ -167,16 +166,16 @@ def refusals(recordings: list[Recording]) -> list[str]:
 
 
 def test_a_strong_tap_that_is_no_ringing_is_not_called_weak() -> None:
-    """One sample 124 times the noise, where it could not be told how it rings; and a weak one that is weak."""
+    """One sample at 124 times the noise has another shape; a weak sample is no event at all."""
     good = taps_of([0.1, 0.2, 0.3, 0.15, 0.25], noise=0.1)
     assert good.acceleration_m_per_s2 is not None
-    for height, told in ((12.4, "its peak is 12"), (0.9, "")):
+    for height, message in ((12.4, "the peak is 12"), (0.9, "")):
         spoilt = np.array(good.acceleration_m_per_s2)
         spoilt[8000:8400] = 9.8 + 0.1 * np.random.default_rng(3).standard_normal(400)
         spoilt[8200] += height
         reasons = refusals([dataclasses.replace(good, acceleration_m_per_s2=spoilt)])
         assert not any("too weak" in reason for reason in reasons)
-        assert told == "" or any(told in reason and "its shape is not a ringing" in reason for reason in reasons)
+        assert message == "" or any(message in reason and "the shape is not a ringing" in reason for reason in reasons)
 
 
 @pytest.mark.parametrize("rest", [2, 3, 5, 7])
@@ -201,12 +200,12 @@ def test_few_samples_in_a_cycle_are_enough_where_the_onset_is_known() -> None:
     assert any("2.2 samples in a cycle" in warning for warning in fit.warnings) and fit.verdict.startswith("fair")
 
 
-def test_no_rest_is_told_with_what_there_is_and_what_is_wanted() -> None:
+def test_too_little_rest_is_reported_with_the_required_rest() -> None:
     late = one_tap(0.2, 3, rest=30)
     cut = {name: values[30:] for name, values in late.items()}
     good = [of(one_tap(speed, seed), f"t{seed}") for seed, speed in enumerate((0.1, 0.15, 0.2, 0.3))]
     (reason,) = refusals([*good, of(cut, "cut")])
-    assert reason in {f"{count} samples of rest before it, 2 are needed" for count in (0, 1)}
+    assert reason in {f"{count} samples of rest before the tap, 2 are needed" for count in (0, 1)}
 
 
 def test_taps_that_are_left_out_weigh_on_the_verdict() -> None:
@@ -238,14 +237,14 @@ def test_noise_on_the_peak_of_a_pulse_in_coarse_numbers_is_not_clipping() -> Non
     pulse = np.concatenate((np.zeros(60), 240.0 * np.sin(np.linspace(0, np.pi, 50)), np.zeros(60)))
     pulse[80:90] = [231.0, 234.0, 232.0, 236.0, 240.0, 240.0, 240.0, 236.0, 237.0, 234.0]
     assert not clipped(0.25 * np.round(pulse), 0.25).any()
-    # A longer run is no chance, nor is one that is reached by a leap.
+    # Neither a longer run nor a run after a leap is due to chance.
     pulse[83] = pulse[87] = 240.0
     assert np.count_nonzero(clipped(0.25 * np.round(pulse), 0.25)) == 5
     sharp = np.concatenate((np.zeros(20), [1.0, 100.0, 240.0, 240.0, 240.0, 80.0], np.zeros(20)))
     assert np.count_nonzero(clipped(0.25 * sharp, 0.25)) == 3
 
 
-def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
+def test_complete_sections_are_between_gaps_and_clipped_samples() -> None:
     seen = np.random.default_rng(1).standard_normal(10_000)
     seen[3000:3004] = 9.0
     recording = Recording(
@@ -257,10 +256,10 @@ def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
     lengths = [len(part.force_n) for part in parts if part.force_n is not None]
     assert lengths == [3000, 2996, 3790]
     assert parts[1].force_n is not None and parts[1].force_n[0] == 3004.0
-    (told,) = excluded.items
-    assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in told.reason
-    assert "0.214 of 10 s" in told.reason
-    with pytest.raises(FitError, match=r"0 % of it is in complete sections of 5 s, 50 % are needed"):
+    (message,) = excluded.items
+    assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in message.reason
+    assert "0.214 of 10 s" in message.reason
+    with pytest.raises(FitError, match=r"0 % of the samples are in complete sections of 5 s, 50 % are needed"):
         complete_sections(recording, 5.0, Exclusions())
 
 

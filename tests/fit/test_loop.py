@@ -1,4 +1,4 @@
-"""What was fitted is rendered, and fitted again: the same comes out."""
+"""A fitted material is rendered and fitted again: the two fits agree."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NOISE = 1e-3
 
 
 def rendered(material: Material, seed: int, speeds: Floats = SPEEDS) -> Recording:
-    """Taps at each speed, as an accelerometer would have them: the commanded vibration over the mass, and noise."""
+    """Return rendered taps at these speeds: the commanded vibration divided by the mass, plus noise."""
     rig = Rig(
         {"w": {**FLOOR, "material": "m"}},
         rate_hz=RATE,
@@ -72,7 +72,7 @@ def test_a_table_comes_back() -> None:
     points = [[0.05, 30.0], [0.2, 60.0], [0.4, 70.0]]
     tap = {"amplitudes": points, "frequency_hz": 120.0, "decay_time_s": 0.008}
     truth = validate_materials({"m": {"stiffness_n_per_m": 800.0, "tap": tap}})["m"]
-    # As many as a table holds, so that it has a point for each.
+    # The number of speeds in a table, so that the table has a point for each speed.
     speeds = np.linspace(0.05, 0.4, SPEED_LAW_LIMITS.max_table_speeds)
     recording = rendered(truth, 3, speeds)
     first = fit_tap([recording])

@@ -1,4 +1,4 @@
-"""Grooves, textures and punctures: what was fitted is rendered, and fitted again; the same comes out."""
+"""Grooves, textures and punctures: a fitted material is rendered and fitted again; the two fits agree."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def recorded(name: str, acceleration: Any, force: Any, seed: int, **ways: Any) -
 
 
 def stroked(material: Material, seed: int, duration_s: float, rounds: int = 1, swing: float = 0.1) -> list[Recording]:
-    """Strokes along a floor, pressed in as far as the force needs; the acceleration is the vibration over the mass."""
+    """Return strokes along a floor at the depth of each force; the acceleration is the vibration over the mass."""
     found = []
     for k, (speed, force) in enumerate(PLACES * rounds):
         floor = {"w": {**FLOOR, "material": "m"}}
@@ -76,7 +76,7 @@ def ruptured(material: Material, seed: int) -> list[Recording]:
 
 
 def again(fit: Fit, recordings: Sequence[Recording]) -> Material:
-    """The fitted material, written and read."""
+    """Return the fitted material, written to YAML and read again."""
     made = fitted_material(fit, recordings, "tap", STIFFNESS)
     data: Any = load_text(yaml_text({"materials": {"m": made.to_dict()}}), "m.yaml").data
     return validate_materials(data["materials"])["m"]
@@ -119,12 +119,12 @@ def test_punctures_come_back() -> None:
 def test_textures_come_back() -> None:
     figures = {"peak_hz": 250.0, "mean_hz": 265.0, "velocity_gain_per_s": 24.0, "force_gain_m_per_s2_per_n": 2.4}
     truth = material_of(texture={"kind": "stochastic", **figures})
-    # 10 minutes: a third of a per cent, a standard error, of peak and gains.
+    # In 10 minutes the standard error of peak and gains is a third of a per cent.
     loop(truth, lambda material, seed: stroked(material, seed, 30.0, 5), fit_texture, figures)
 
 
 def spectrum_of(material: Material, place: tuple[float, float]) -> tuple[Any, float]:
-    """In dB, at 30 to 900 Hz, of the model at a speed and a force, and its RMS."""
+    """Return the spectrum, dB, at 30 to 900 Hz of the model at a speed and a force, and the RMS."""
     texture = material.texture
     assert isinstance(texture, Autoregressive)
     (model,) = (each for each in texture.models if (each.speed_m_per_s, each.force_n) == pytest.approx(place, rel=0.02))
@@ -135,9 +135,9 @@ def spectrum_of(material: Material, place: tuple[float, float]) -> tuple[Any, fl
 
 @pytest.mark.slow
 def test_autoregressive_textures_come_back() -> None:
-    """Two resonances, at speeds and forces that are held for four minutes each.
+    """Two resonances at constant speeds and forces, four minutes each.
 
-    By their bandwidth of 84 Hz a standard error of their RMS is then a third of a per cent."""
+    With a bandwidth of 84 Hz, the standard error of the RMS is then a third of a per cent."""
     poles = [0.9 * np.exp(2j * np.pi * 200 / 2500), 0.85 * np.exp(2j * np.pi * 600 / 2500)]
     coefficients = np.poly(np.concatenate((poles, np.conj(poles)))).real[1:].tolist()
     models = [

@@ -1,4 +1,4 @@
-"""What reports draw, against recordings that are made here of their closed forms."""
+"""Pictures of reports, compared with recordings made from closed forms."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fit that says what the test wants."""
+    """A fit with given values."""
 
     figures: Mapping[str, object]
     parts: Mapping[str, Any] = field(default_factory=dict)
@@ -67,7 +67,7 @@ def curves(panel: Panel) -> dict[str, tuple[Floats, Floats]]:
 
 
 def test_density_is_power_over_frequency() -> None:
-    """White noise of unit variance: 2/rate everywhere; a sine: half its square in its line."""
+    """White noise of variance 1 has 2/rate at all frequencies; a sine has half its squared amplitude in one line."""
     noise = np.random.default_rng(1).standard_normal(400_000)
     frequency, power = density(noise, RATE, 1000)
     assert frequency[0] == RATE / 1000
@@ -92,7 +92,7 @@ def test_overlay_shows_what_is_left() -> None:
 
 
 def test_overlay_of_stretches_keeps_the_gaps_between_them() -> None:
-    """A second of strikes: what is shown is about the longest stretch, and the spectra are of it alone."""
+    """A second of strikes: the pictures show the longest section, and the spectra are of this section alone."""
     recorded = np.random.default_rng(2).standard_normal(25_000)
     model = np.full(25_000, np.nan)
     for begin, end in ((1000, 1100), (5000, 5400), (6000, 6100), (20_000, 20_100)):
@@ -173,7 +173,7 @@ def test_taps() -> None:
 
 
 def test_taps_that_bend_and_have_two_modes() -> None:
-    """A table beside the line; and the second mode, whose recordings are its closed form, leaves nothing."""
+    """The picture has a table besides the line; recordings of two modes leave no residual."""
     time_s = np.arange(1000) / RATE - 0.002
     later = np.maximum(time_s, 0)
     both = 30 * np.exp(-150 * later) * np.sin(1300 * later) + 12 * np.exp(-400 * later) * np.sin(5000 * later)
@@ -196,13 +196,13 @@ def test_taps_that_bend_and_have_two_modes() -> None:
 
 
 def test_what_is_left_out_is_drawn_with_its_reason() -> None:
-    """Marks above the recording of which a tap was used; the samples about the other one; and a whole file."""
+    """Pictures: a recording with marks at the used taps, the samples near an excluded tap, and an excluded file."""
     seen = np.random.default_rng(1).standard_normal(25_000)
     (hit,) = hits_of(0.2)
     hit.recording, hit.onset_s = "folder/a", 0.25
     parts = {**STRAIGHT, "taps": [hit]}
     left = (
-        Exclusion("folder/a", "it is clipped", "tap", 0.5),
+        Exclusion("folder/a", "clipped", "tap", 0.5),
         Exclusion("b", "no onset"),
         Exclusion("c", "cannot be read"),
     )
@@ -211,7 +211,7 @@ def test_what_is_left_out_is_drawn_with_its_reason() -> None:
     marked, (tap, whole) = page.rows[-2:]
     assert curves(marked[0])["fitted"][0].tolist() == [0.25] and curves(marked[0])["left out"][0].tolist() == [0.5]
     assert marked[0].curves[2].crossed and curves(marked[0])["left out"][1][0] > seen.max()
-    assert (tap.title, whole.title) == ("a left out: it is clipped", "b left out: no onset")
+    assert (tap.title, whole.title) == ("a left out: clipped", "b left out: no onset")
     x, y = curves(tap)["recording"]
     assert x[0] == pytest.approx(490) and x[-1] == pytest.approx(560) and y[0] == seen[12_250]
     assert len(curves(whole)["recording"][0]) == 50
@@ -264,7 +264,7 @@ def test_grooves() -> None:
 
 @pytest.mark.long
 def test_textures() -> None:
-    """Noise through the stochastic filter itself, in its direct form by scipy."""
+    """Noise filtered by the stochastic filter, in its direct form by scipy."""
     from scipy.signal import lfilter
 
     speed, force, count = 0.1, 1.5, 500_000
@@ -296,10 +296,10 @@ def test_textures() -> None:
     for made in (texture, autoregressive):
         whole = recording("a", noise, force_n=forces, tangential_position_m=0.3 - place)
         bare = recording("b", noise)
-        told = recording("c", noise, force_n=forces, speed_m_per_s=speed)
+        message = recording("c", noise, force_n=forces, speed_m_per_s=speed)
         block = SimpleNamespace(speed_m_per_s=speed, force_n=force, rms_m_per_s2=1.01 * rms, mean_hz=301.0)
         parts = {"blocks": (block,) * 3, "mean_hz": Estimate(300.0, 290.0, 310.0)}
-        page = page_of("texture", "grit", Fitted({"texture": made}, parts), [whole, bare, told])
+        page = page_of("texture", "grit", Fitted({"texture": made}, parts), [whole, bare, message])
         assert [len(row) for row in page.rows] == [3, 2, 2]
         level_of, by_speed, by_force = page.rows[0]
         modelled, recorded = curves(level_of)["recorded"]
@@ -316,7 +316,7 @@ def test_textures() -> None:
 
 @pytest.mark.parametrize("turned", [1.0, -1.0])
 def test_punctures(turned: float) -> None:
-    """Force and deflection of a spring that breaks, and the ringing from there on."""
+    """Force and deflection of a spring that breaks, and the ringing after that."""
     stiffness, depth, amplitude, decay, omega = 600.0, 0.004, 38.0, 330.0, 1260.0
     struck, rng = 2500, np.random.default_rng(3)
     place = 0.02 + turned * 0.05 * (np.arange(4000) - struck) / RATE

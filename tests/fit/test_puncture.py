@@ -1,4 +1,4 @@
-"""Punctures with known truth, and those that are none."""
+"""Punctures: fits with known parameters, and recordings without a puncture."""
 
 import dataclasses
 import math
@@ -73,7 +73,7 @@ RING = np.exp(-330 * TIME) * np.sin(1260 * TIME)
 
 
 def pressed(way_m: Floats, force_n: Floats, rings_s: Sequence[float] = (), seed: int = 0) -> Recording:
-    """A stylus that goes this way against this force, and rings so often; with a little noise."""
+    """Return a recording of a stylus on this path with this force, and ringings at these times, with little noise."""
     random = np.random.default_rng(seed)
     heard = sum((np.roll(RING, round(at * RATE)) * (at <= TIME) for at in rings_s), np.zeros(len(TIME)))
     noise = random.standard_normal((3, len(TIME)))
@@ -90,7 +90,7 @@ def pressed(way_m: Floats, force_n: Floats, rings_s: Sequence[float] = (), seed:
 
 
 def way(*points: tuple[float, float]) -> Floats:
-    """Straight from one (s, m) to the next."""
+    """Return the positions on straight lines between these points (s, m)."""
     return np.interp(TIME, *np.array(points).T)
 
 
@@ -109,7 +109,7 @@ def test_what_goes_back_is_no_puncture(way_m: Floats, stiffness: float, rings_s:
 
 
 def test_glitches_of_the_force_are_no_puncture() -> None:
-    """One up, one down: where the means over 2 ms fall most, no sample is high."""
+    """One glitch up, one down: where the means over 2 ms fall most, no sample is high."""
     way_m = way((0, -0.002), (0.6, 0.016))
     force = np.zeros(len(TIME))
     force[[3000, 3060]] = 50.0, -20.0
@@ -118,8 +118,8 @@ def test_glitches_of_the_force_are_no_puncture() -> None:
 
 
 @pytest.mark.long
-def test_a_force_that_stays_is_told() -> None:
-    """A needle rubs in what it went through."""
+def test_a_force_that_stays_is_reported() -> None:
+    """A needle still rubs after the rupture."""
     way_m = way((0, -0.002), (0.6, 0.016))
     struck_s = 0.007 / 0.03
     force = np.where(struck_s > TIME, 300.0 * np.maximum(way_m, 0), 0.3 * 1.5)
@@ -130,7 +130,7 @@ def test_a_force_that_stays_is_told() -> None:
 
 
 @pytest.mark.long
-def test_a_soft_touch_is_told() -> None:
+def test_a_soft_touch_is_reported() -> None:
     way_m = way((0, -0.002), (0.6, 0.016))
     struck_s, deep = 0.007 / 0.03, np.maximum(way_m, 0)
     fit = fit_puncture(
@@ -140,7 +140,7 @@ def test_a_soft_touch_is_told() -> None:
 
 
 def in_contact(recording: Recording) -> Recording:
-    """Without what comes before the touch."""
+    """Return the recording without the samples before the touch."""
     assert recording.force_n is not None
     first = int(np.argmax(recording.force_n > 0.1))
     columns = ("acceleration_m_per_s2", "force_n", "position_m")
@@ -148,7 +148,7 @@ def in_contact(recording: Recording) -> Recording:
 
 
 @pytest.mark.long
-def test_a_recording_that_begins_in_contact_is_told() -> None:
+def test_a_recording_that_begins_in_contact_is_reported() -> None:
     begun = [in_contact(each) for each in punctures(membrane(), 5)]
     fit = fit_puncture(begun)
     assert fit.depth_m.value == pytest.approx(0.005, rel=0.01)
@@ -157,10 +157,10 @@ def test_a_recording_that_begins_in_contact_is_told() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("others_hz", "told"), [((90.0, 517.0), "the others have 3[78]"), ((470.0,), "one mode explains")]
+    ("others_hz", "message"), [((90.0, 517.0), "usual are 3[78]"), ((470.0,), "one mode explains")]
 )
-def test_a_rupture_that_rings_with_more_is_left_out(others_hz: Sequence[float], told: str) -> None:
-    """The others are as good as before."""
+def test_a_rupture_that_rings_with_more_is_left_out(others_hz: Sequence[float], message: str) -> None:
+    """The other punctures are fitted as before."""
     recordings = punctures(membrane(), 6)
     first = recordings[0]
     heard, force = first.acceleration_m_per_s2, first.force_n
@@ -170,14 +170,14 @@ def test_a_rupture_that_rings_with_more_is_left_out(others_hz: Sequence[float], 
     fit = fit_puncture([dataclasses.replace(first, acceleration_m_per_s2=heard + other), *recordings[1:]])
     assert len(fit.ruptures) == len(recordings) - 1
     (line,) = (warning for warning in fit.warnings if "left out" in warning)
-    assert re.search(told, line), line
+    assert re.search(message, line), line
     assert fit.amplitude_m_per_s2.value == pytest.approx(38.0, rel=0.02)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("heard", [lambda above: np.minimum(above, 0.6 * above.max()), lambda above: 6 * above])
-def test_what_is_told_of_a_puncture_that_is_left_out_is_no_reason(heard: Callable[[Floats], Floats]) -> None:
-    """It is clipped, or rings with another amplitude than the others."""
+def test_warnings_of_an_excluded_puncture_are_ignored(heard: Callable[[Floats], Floats]) -> None:
+    """The puncture is clipped, or rings with another amplitude than the others."""
     recordings = punctures(membrane(), 5)
     first = in_contact(recordings[0])
     assert first.acceleration_m_per_s2 is not None
@@ -190,7 +190,7 @@ def test_what_is_told_of_a_puncture_that_is_left_out_is_no_reason(heard: Callabl
 
 
 @pytest.mark.long
-def test_few_samples_in_a_cycle_are_told() -> None:
+def test_few_samples_in_a_cycle_are_reported() -> None:
     slow = [puncture(membrane(), speed, Stylus(seed=k, rate_hz=1000.0)) for k, speed in enumerate(SPEEDS)]
     assert any("5.0 samples in a cycle" in warning for warning in fit_puncture(slow).warnings)
     assert not any("samples in a cycle" in warning for warning in fit_puncture(punctures(membrane(), 1)).warnings)
@@ -229,6 +229,6 @@ def test_one_puncture_has_no_interval() -> None:
 def test_refusals_say_why(changed: object, reason: str) -> None:
     assert callable(changed)
     spoilt = [dataclasses.replace(each, **changed(each)) for each in punctures(membrane(), 2)]
-    with pytest.raises(FitError, match=reason) as told:
+    with pytest.raises(FitError, match=reason) as caught:
         fit_puncture(spoilt)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)

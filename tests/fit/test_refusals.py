@@ -1,4 +1,4 @@
-"""What `hapticd fit` refuses, as a user meets it: one line that gives the reason, no material, exit code 1."""
+"""Refusals of `hapticd fit`: one line with the reason, no material, exit code 1."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TIME, SEEN, FORCE = "time_s", "acceleration_m_per_s2", "force_n"
 NORMAL, ALONG, SPEED = "position_m", "tangential_position_m", "speed_m_per_s"
 
 
-# ---- Recordings, made here of nothing but sines and exponentials ----------------------------------------------------
+# ---- Recordings, made of sines and exponentials ----------------------------------------------------------------------
 
 
 def ringing(time_s: Floats, onset_s: float, size: float, hz: float, decay_s: float) -> Floats:
@@ -31,7 +31,7 @@ def ringing(time_s: Floats, onset_s: float, size: float, hz: float, decay_s: flo
 
 
 def taps(seed: int = 1) -> Columns:
-    """Six taps, 400 1/s, 300 Hz, 10 ms."""
+    """Return six taps with a slope of 400 1/s, 300 Hz and a decay time of 10 ms."""
     random = np.random.default_rng(seed)
     time_s = np.arange(13_000) / RATE_HZ
     seen, place, force = np.full(len(time_s), 9.8), np.full(len(time_s), -0.01), np.zeros(len(time_s))
@@ -60,7 +60,7 @@ def stroke(speed: float, force_n: float, duration_s: float, random: np.random.Ge
 
 
 def grooves(speed: float, force_n: float, seed: int) -> Columns:
-    """Every 2 mm a ringing of 220 Hz, 4 ms."""
+    """Return a stroke with a ringing of 220 Hz and 4 ms every 2 mm."""
     random = np.random.default_rng(seed)
     found = stroke(speed, force_n, 0.8, random)
     seen = np.full(len(found[TIME]), 9.8)
@@ -71,7 +71,7 @@ def grooves(speed: float, force_n: float, seed: int) -> Columns:
 
 
 def texture(speed: float, force_n: float, seed: int, hz: float = 250) -> Columns:
-    """Noise through one resonance."""
+    """Return a stroke with noise filtered by one resonance."""
     random = np.random.default_rng(seed)
     found = stroke(speed, force_n, 3.0, random)
     count = len(found[TIME])
@@ -83,7 +83,7 @@ def texture(speed: float, force_n: float, seed: int, hz: float = 250) -> Columns
 
 
 def puncture(speed: float, seed: int) -> Columns:
-    """400 N/m, 4 mm, then 38 m/s^2 at 200 Hz."""
+    """Return a puncture at a depth of 4 mm, with 400 N/m, and a ringing of 38 m/s^2 at 200 Hz."""
     random = np.random.default_rng(seed)
     ruptured_s = 0.006 / speed
     time_s = np.arange(round((ruptured_s + 0.15) * RATE_HZ)) / RATE_HZ
@@ -156,13 +156,13 @@ def every(step: int) -> Damage:
 
 
 def released(columns: Columns) -> Columns:
-    """Let go as slowly as it was pressed, without a rupture."""
+    """Return a stylus that is withdrawn as slowly as it was pressed, without a rupture."""
     place = 0.03 + 0.003 * np.sin(np.linspace(0, np.pi, len(columns[TIME])))
     return {**columns, NORMAL: place, FORCE: 400 * (place - 0.03), SEEN: noise(columns)[SEEN]}
 
 
 def softer(columns: Columns) -> Columns:
-    """Another texture from the middle on."""
+    """Change the texture in the middle of the stroke."""
     half = len(columns[TIME]) // 2
     other = texture(0.08, 1.0, 9, hz=700)
     return {**columns, SEEN: np.concatenate((columns[SEEN][:half], other[SEEN][half:]))}
@@ -249,36 +249,36 @@ DAMAGED: Final[list[tuple[str, str, Damage, str]]] = [
 
 
 @pytest.mark.parametrize("kind", ["tap", "puncture", *rest_slow(["grooves", "texture"], fast=0)])
-def test_what_is_damaged_here_is_fitted_when_it_is_whole(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Otherwise a refusal below may have another reason."""
+def test_recordings_without_damage_are_fitted(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """If this failed, a refusal below could have another reason."""
     assert main(["fit", kind, *written(tmp_path, GOOD[kind]), "-o", str(tmp_path / "found.yaml")]) == 0
     assert (tmp_path / "found.yaml").read_text().startswith("materials:")
     capsys.readouterr()
 
 
 LONG: Final = {("grooves", "acceleration in mm/s^2"), ("grooves", "acceleration in km/s^2")}
-"""Fitted to the end before they are refused: a second each. Those of the other kinds show the same."""
+"""Refusals after a complete fit, which takes a second; the other kinds of fit test the same."""
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("kind", "damage", "told"),
+    ("kind", "damage", "message"),
     [
-        pytest.param(kind, damage, told, id=f"{kind}: {what}", marks=[pytest.mark.slow] if (kind, what) in LONG else [])
-        for kind, what, damage, told in DAMAGED
+        pytest.param(
+            kind, damage, message, id=f"{kind}: {what}", marks=[pytest.mark.slow] if (kind, what) in LONG else []
+        )
+        for kind, what, damage, message in DAMAGED
     ],
 )
-def test_refusals(kind: str, damage: Damage, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_refusals(kind: str, damage: Damage, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = written(tmp_path, [damage(columns) for columns in GOOD[kind]])
     line = said(capsys, 1, "fit", kind, *files, "-o", str(tmp_path / "found.yaml"))
-    assert any(words in line for words in told.split("|")), line
+    assert any(words in line for words in message.split("|")), line
     assert not (tmp_path / "found.yaml").exists()
 
 
 @pytest.mark.parametrize(
-    ("given", "asked", "told"),
+    ("given", "asked", "message"),
     [
         ("taps", "texture", "no force"),
         ("grooves", "puncture", "no position along the normal"),
@@ -287,7 +287,7 @@ def test_refusals(kind: str, damage: Damage, told: str, tmp_path: Path, capsys: 
     ],
 )
 def test_recordings_of_another_kind(
-    given: str, asked: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    given: str, asked: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     columns = {"taps": [without(FORCE)(taps())], **GOOD}[given]
-    assert told in said(capsys, 1, "fit", asked, *written(tmp_path, columns))
+    assert message in said(capsys, 1, "fit", asked, *written(tmp_path, columns))

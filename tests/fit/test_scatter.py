@@ -1,4 +1,4 @@
-"""Events that are each fitted well, and differ from one another so much that the fit is not good."""
+"""Events that are each fitted well, but differ too much for a good fit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hapticd.fit.waveform import WaveformFit
 RATE_HZ = 5000.0
 SPEEDS = np.linspace(0.08, 0.4, 10)
 MIXED = np.array([1.0, -1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0, -1.0])
-"""Without a trend over the speeds."""
+"""Signs without a trend over SPEEDS."""
 
 
 def tap(index: int, seen: Floats) -> Recording:
@@ -59,7 +59,7 @@ def test_pulses_whose_sizes_do_not_follow_the_speed_are_poor() -> None:
 
 
 def rupture(index: int, frequency_hz: float) -> Recording:
-    """A membrane of 400 N/m that tears at 1.2 N, 10 mm/s."""
+    """Return a puncture, at 10 mm/s, of a membrane of 400 N/m that ruptures at 1.2 N."""
     random = np.random.default_rng(index)
     time = np.arange(3500) / RATE_HZ
     way = 0.01 * (time - 0.1)

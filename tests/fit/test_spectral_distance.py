@@ -1,4 +1,4 @@
-"""Whether the spectrum that a texture's peak and mean stand for is the recorded one."""
+"""The spectrum of a texture's peak and mean, compared with the recorded spectrum."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def test_decibels_are_those_of_the_densities() -> None:
     power = 1.0 / (1.0 + ((frequency - 200.0) / 100.0) ** 2)
     assert spectral_distance_db(frequency, power, power) == 0.0
     assert spectral_distance_db(frequency, 2.0 * power, power) == pytest.approx(10 * np.log10(2.0))
-    # What lies 20 dB below the peak is not compared.
+    # Densities 20 dB below the peak are not compared.
     other = np.where(power < 0.005, 100.0 * power, power)
     assert spectral_distance_db(frequency, other, power) == 0.0
 
 
 def resonance(white: Floats, hertz: float, quality: float) -> Floats:
-    """A mass on a spring, by the bilinear transform."""
+    """Filter noise by a mass on a spring, with the bilinear transform."""
     w = 2 * np.pi * hertz
     noise = signal.lfilter(*signal.bilinear([w**2], [1.0, w / quality, w**2], RATE_HZ), white)
     return np.asarray(noise / np.std(noise))
@@ -33,7 +33,7 @@ def resonance(white: Floats, hertz: float, quality: float) -> Floats:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("second_hz", "quality"), [(None, "good"), (700.0, "fair")])
-def test_a_second_resonance_is_told(second_hz: float | None, quality: str) -> None:
+def test_a_second_resonance_is_reported(second_hz: float | None, quality: str) -> None:
     recordings = []
     for index, (speed, force) in enumerate(PLACES):
         random = np.random.default_rng(index)

@@ -1,4 +1,4 @@
-"""Lines in spectra: found at any frequency with their share, and nowhere in noise or in what rings."""
+"""Spectral lines: found at any frequency with their fraction of the power, and not in noise or ringing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RATE = 2000.0
 
 
 def noise(seconds: float, seed: int) -> Floats:
-    """Coloured: one resonance at 180 Hz, 60 Hz wide; variance 1."""
+    """Return noise of variance 1, coloured by a resonance at 180 Hz, 60 Hz wide."""
     count = round(seconds * RATE)
     at = np.fft.rfftfreq(count, 1 / RATE)
     shape = 1 / np.abs(1 - (at / 180) ** 2 + 0.33j * at / 180)
@@ -22,22 +22,22 @@ def noise(seconds: float, seed: int) -> Floats:
     return np.asarray(found / found.std())
 
 
-def tone(seconds: float, hz: float, share: float) -> Floats:
-    """Whose power is this part of noise and tone together."""
+def tone(seconds: float, hz: float, fraction: float) -> Floats:
+    """Return a tone with this fraction of the power of noise and tone together."""
     time_s = np.arange(round(seconds * RATE)) / RATE
-    return np.asarray(np.sqrt(2 * share / (1 - share)) * np.sin(2 * np.pi * hz * time_s + 1))
+    return np.asarray(np.sqrt(2 * fraction / (1 - fraction)) * np.sin(2 * np.pi * hz * time_s + 1))
 
 
 @pytest.mark.parametrize("hz", [50.0, 133.3, 200.0, 317.9, 611.0])
-def test_a_line_is_found_at_any_frequency_with_its_share(hz: float) -> None:
+def test_a_line_is_found_at_any_frequency_with_its_power(hz: float) -> None:
     (line,) = spectral_lines(noise(8.0, 1) + tone(8.0, hz, 0.04), RATE)
     assert line.frequency_hz == pytest.approx(hz, abs=0.1)
-    assert line.share == pytest.approx(0.04, rel=0.25)
+    assert line.fraction == pytest.approx(0.04, rel=0.25)
 
 
 @pytest.mark.long
 def test_noise_and_ringing_have_no_lines() -> None:
-    """A chance of one in a thousand each; and one mode struck at random times."""
+    """Noise has a line with a probability of one in a thousand; a mode is struck at random times."""
     assert sum(bool(spectral_lines(noise(2.0, seed), RATE)) for seed in range(120)) <= 2
     random = np.random.default_rng(3)
     struck = np.zeros(8000)
@@ -48,7 +48,7 @@ def test_noise_and_ringing_have_no_lines() -> None:
     assert spectral_lines(noise(0.4, 1) + tone(0.4, 50, 0.2), RATE) == []
 
 
-def test_lines_that_most_recordings_have_are_told_together() -> None:
+def test_lines_that_most_recordings_have_are_reported_together() -> None:
     three = sum(tone(3.0, hz, 0.05) for hz in (200, 300, 400))
 
     def lines_in(place: int, needed: int) -> list[SpectralLine]:
@@ -70,16 +70,16 @@ def test_lines_that_most_recordings_have_are_told_together() -> None:
     assert float(text.split("lines hold ")[1].split(" %")[0]) == pytest.approx(100 * 3 * 0.0526 / 1.158, rel=0.25)
 
 
-def test_the_share_is_of_everything_that_was_recorded() -> None:
-    """A model that takes half of the power, and NaN where there is none."""
+def test_the_fraction_is_of_the_recorded_power() -> None:
+    """The fraction is that of the recorded power, of which the model explains nine tenths."""
     hum = tone(4.0, 120.0, 0.2)
     loud = 3.0 * noise(4.0, 2)
     (line,) = lines_in_residual(hum + loud + noise(4.0, 4), loud, RATE)
     assert line.frequency_hz == pytest.approx(120, abs=0.05)
-    assert line.share == pytest.approx(0.25 / (9 + 1 + 0.25), rel=0.15)
+    assert line.fraction == pytest.approx(0.25 / (9 + 1 + 0.25), rel=0.15)
 
 
-def test_hum_between_taps_is_told() -> None:
+def test_hum_between_taps_is_reported() -> None:
     random = np.random.default_rng(1)
     time_s = np.arange(6000) / RATE
     seen = 9.8 + 0.02 * random.standard_normal(len(time_s)) + 0.9 * np.sin(2 * np.pi * 300 * time_s)

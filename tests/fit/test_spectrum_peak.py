@@ -1,4 +1,4 @@
-"""Peaks of spectra that have one and of spectra that have none, and what a texture without one becomes."""
+"""Peaks of spectra with and without a resonance, and the material of a texture without a peak."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def falling(corner_hz: float, order: float) -> Density:
 
 
 def resonance(own_hz: float, quality: float) -> Density:
-    """Its peak is at own_hz sqrt(1 - 1/(2 quality^2))."""
+    """Return the density of a resonance, whose peak is at own_hz sqrt(1 - 1/(2 quality^2))."""
 
     def density(frequency: Floats) -> Floats:
         ratio = frequency / own_hz
@@ -33,7 +33,7 @@ def resonance(own_hz: float, quality: float) -> Density:
 
 
 def sampled(densities: Sequence[Density], seed: int) -> Peak:
-    """Of periodograms of half a second: each value is the density times an exponential variate's mean of three."""
+    """Return the peak of sampled periodograms: the densities times means of three exponential variates."""
     random = np.random.default_rng(seed)
     frequency = np.arange(0.0, 1000.0, 4.0)
     strokes = np.repeat(np.arange(STROKES), BLOCKS // STROKES)
@@ -42,7 +42,7 @@ def sampled(densities: Sequence[Density], seed: int) -> Peak:
 
 
 def bootstrapped(peaks: Sequence[float], random: np.random.Generator) -> tuple[float, float]:
-    """95 % of the means of resampled strokes."""
+    """Return the interval of 95 % of the means of resampled strokes."""
     means = random.choice(np.array(peaks), size=(4000, len(peaks))).mean(axis=1)
     low, high = np.quantile(means, [0.025, 0.975])
     return float(low), float(high)
@@ -51,7 +51,7 @@ def bootstrapped(peaks: Sequence[float], random: np.random.Generator) -> tuple[f
 @pytest.mark.slow
 @pytest.mark.parametrize("density", [falling(40, 1.5), falling(60, 2), falling(150, 3), resonance(100, 0.6)])
 def test_a_spectrum_that_only_falls_has_no_peak(density: Density) -> None:
-    """The highest density is at 0: that is in the interval, and a peak by chance is not believed."""
+    """The highest density is at 0: the interval contains 0, and a peak due to chance is not resolved."""
     for seed in range(8):
         found = sampled([density], seed)
         assert not found.resolved
@@ -65,13 +65,13 @@ def test_intervals_of_a_resonance_hold_its_peak(own_hz: float, quality: float) -
     truth = own_hz * np.sqrt(1 - 1 / (2 * quality**2))
     found = [sampled([resonance(own_hz, quality)], seed) for seed in range(20)]
     assert all(each.resolved for each in found)
-    # Of 20 intervals of 95 % as few as this hold it with a chance of 1.6 %, fewer with 0.3 %.
+    # Of 20 intervals of 95 %, this number contain the peak with a probability of 1.6 %, fewer with 0.3 %.
     assert sum(each.hz.low <= truth <= each.hz.high for each in found) >= 16
 
 
 @pytest.mark.slow
 def test_strokes_that_differ_make_the_interval_wide() -> None:
-    """As wide as a bootstrap over the strokes makes it, which has too few of them and is narrow."""
+    """The interval is 0.8 to 3 times as wide as that of a bootstrap over the strokes, narrow for few strokes."""
     owns = (110.0, 135.0, 150.0, 165.0, 190.0)
     random = np.random.default_rng(1)
     low, high = bootstrapped([own * np.sqrt(1 - 1 / 18) for own in owns], random)
@@ -110,13 +110,13 @@ def test_a_texture_without_a_peak_says_so_in_the_material(autoregressive: bool) 
     fit = fit_texture(strokes, autoregressive=autoregressive)
     assert not fit.peak_resolved
     assert fit.peak_hz.low == 0.0
-    (told,) = (line for line in fit.warnings if "peak" in line)
-    assert told.startswith(
-        "the peak is not resolved: the spectrum is broad, or highest below 20 Hz; it lies between 0 "
+    (message,) = (line for line in fit.warnings if "peak" in line)
+    assert message.startswith(
+        "the peak is not resolved: the spectrum is broad, or highest below 20 Hz; the peak is below "
     )
     made = fitted_material(fit, strokes, "texture", 500.0)
     judged = made.fitted["texture"]
-    assert (told in judged.reasons) != autoregressive
+    assert (message in judged.reasons) != autoregressive
     assert autoregressive or judged.quality != "good"
     assert made.provenance is not None
     assert made.provenance.intervals is not None

@@ -1,4 +1,4 @@
-"""Taps: what the fit finds against what the synthetic stylus was told, and what it refuses."""
+"""Taps: fits of synthetic recordings with known parameters, and refusals."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_scatter_is_what_makes_the_weighted_squares_as_large_as_their_freedom() 
 
 
 def test_scatter_in_ratios_is_that_of_the_scaled_problem() -> None:
-    # Without errors of their own, y/x of points that scatter as x are alike: their slope is the mean of y/x.
+    # Without further errors, y/x scatters alike at all points, whose scatter is as x: the slope is the mean of y/x.
     random = np.random.default_rng(6)
     x = random.uniform(1, 4, 9)
     y = 2.0 * x * (1 + 0.1 * random.standard_normal(9))
@@ -121,7 +121,7 @@ def test_the_chance_of_a_fuller_model_is_of_the_f_distribution() -> None:
     assert f_test_p(12.0, 9, 7.0, 7) == pytest.approx(stats.f.sf((5 / 2) / (7 / 7), 2, 7), rel=1e-9)
 
 
-def test_what_cannot_be_told_is_refused() -> None:
+def test_undetermined_coefficients_are_refused() -> None:
     with pytest.raises(FitError, match="1 points cannot determine 1 coefficients"):
         common(np.array([1.0]))
     with pytest.raises(FitError, match="two columns are linearly dependent"):
@@ -212,7 +212,7 @@ def test_synthetic_taps_begin_at_their_onsets_and_come_at_their_speeds() -> None
         assert acceleration[first] == pytest.approx(truth.slope_per_s * speed * wave, abs=1e-6)
         way = recording.position_m[first - 200 : first]
         assert np.diff(way) * recording.rate_hz == pytest.approx(speed)
-        # Eight decay times or more after it, nothing is left; its integral is A w/(B^2 + w^2).
+        # Eight decay times after the onset, nothing is left; the integral of a ringing is A w/(B^2 + w^2).
         rings = acceleration[first - 1 : first + 1400]
         b, w = truth.mode.decay_rate_per_s, truth.mode.angular_frequency_rad_per_s
         assert integrate.trapezoid(rings, dx=1 / recording.rate_hz) == pytest.approx(
@@ -258,9 +258,9 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
             )
         ):
             covered[which] += estimate.low <= value <= estimate.high
-    # By chance alone, one of a thousand runs of intervals of 95 % is below, for each figure.
+    # One of a thousand runs of intervals of 95 % is below this by chance, for each figure.
     assert (covered >= stats.binom.ppf(0.001, sets, 0.95)).all(), covered
-    # And intervals that are too wide would cover everything, always.
+    # Intervals that are too wide would always cover the truth.
     assert covered.min() < sets
 
 
@@ -280,7 +280,7 @@ def test_the_material_is_one_that_the_library_takes() -> None:
     fit = fit_tap([recording])
     for attack in ("coefficient", "first_peak"):
         found = Tap.model_validate(fit.material(attack)["tap"])
-        # Both meanings ring alike.
+        # Both attacks give the same ringing.
         amplitude = found.attack_slope_per_s * found.mode.coefficient(1.0, found.attack)
         assert amplitude == pytest.approx(truth.slope_per_s, rel=0.02)
     assert json.loads(json.dumps(fit.to_dict()))["frequency_hz"]["value"] == fit.frequency_hz.value
@@ -345,15 +345,15 @@ def test_bounces_are_left_out() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("pressed", [False, True])
-def test_weak_taps_soon_after_strong_ones_are_told_from_bounces_by_their_way(pressed: bool) -> None:
+def test_weak_taps_soon_after_strong_ones_are_separated_from_bounces_by_their_position(pressed: bool) -> None:
     speeds = np.array([0.4, 0.3, 0.2, 0.1, 0.05, 0.35, 0.12, 0.25, 0.15, 0.06])
     recording, truth = made("delrin", speeds, noise_rms=0.002)
     recording = dataclasses.replace(recording, speed_m_per_s=None)
     fit = fit_tap([recording])
     assert [tap.speed_m_per_s for tap in fit.taps] == pytest.approx(speeds, rel=0.01)
     assert fit.warnings == ()
-    # It leaves the surface 10 ms after each touch at half the speed, and a steady push brings it back by 60 ms; or it
-    # stays, is pressed on evenly, and rings again.
+    # The stylus leaves the surface 10 ms after each touch at half the speed, and a steady push returns it by 60 ms; or
+    # it stays, is pressed on evenly, and rings again.
     assert recording.position_m is not None
     acceleration, position = samples_of(recording).copy(), recording.position_m.copy()
     away_s, flight_s = 0.01, 0.05
@@ -372,7 +372,7 @@ def test_weak_taps_soon_after_strong_ones_are_told_from_bounces_by_their_way(pre
 
 
 @pytest.mark.long
-def test_a_second_mode_is_told_and_offered() -> None:
+def test_a_second_mode_is_reported_and_offered() -> None:
     recording, truth = made("delrin", noise_rms=0.005)
     time_s = np.arange(len(samples_of(recording))) / recording.rate_hz
     acceleration = samples_of(recording).copy()
@@ -397,7 +397,7 @@ def test_a_second_mode_is_told_and_offered() -> None:
             "ratio": fit.second.ratio.value,
         },
     }
-    # One explains too little, two explain enough: the material has both without being asked.
+    # One mode explains too little, two explain enough: the material has both by default.
     assert fit.second.kept and fit.second.alone < 0.95
     assert fit.material() == fit.material(two_modes=True) != fit.material(two_modes=False)
     assert "one mode is not enough" in fit.warnings[0]
@@ -405,7 +405,7 @@ def test_a_second_mode_is_told_and_offered() -> None:
 
 
 def ceramic(ratios: Floats, first_hz: float = 1100.0, second_hz: float = 2900.0) -> Recording:
-    """Knocks that ring at two frequencies for 4 ms, the second so many times as strong as the first."""
+    """Return knocks that ring at two frequencies for 4 ms; `ratios` are those of the second amplitude to the first."""
     rate_hz, random = 25_000.0, np.random.default_rng(1)
     speeds = np.linspace(0.1, 0.4, len(ratios))
     time_s = np.arange(2500 * len(ratios)) / rate_hz
@@ -427,7 +427,7 @@ def ceramic(ratios: Floats, first_hz: float = 1100.0, second_hz: float = 2900.0)
 )
 def test_two_modes_are_tried_before_a_tap_is_thrown_away(ratios: Floats) -> None:
     fit = fit_tap([ceramic(ratios)])
-    # One mode explains about half of such a knock, and is now the one, now the other.
+    # One mode explains about half of such a knock, and is the first or the second by chance.
     assert len(fit.taps) == 12 and fit.second is not None and fit.second.alone < 0.65
     found = sorted([fit.frequency_hz.value, fit.second.frequency_hz.value])
     assert found == pytest.approx([1100, 2900], rel=0.002)
@@ -440,14 +440,14 @@ def test_two_modes_are_tried_before_a_tap_is_thrown_away(ratios: Floats) -> None
 
 
 @pytest.mark.slow
-def test_a_knock_with_other_modes_than_the_rest_is_left_out_and_told() -> None:
+def test_a_knock_with_other_modes_than_the_rest_is_left_out_and_reported() -> None:
     strange = ceramic(np.ones(12), 800.0, 2000.0)
     usual = ceramic(np.ones(12))
     samples = samples_of(usual).copy()
     samples[7 * 2500 : 8 * 2500] = samples_of(strange)[7 * 2500 : 8 * 2500]
     fit = fit_tap([with_samples(usual, samples)])
     assert len(fit.taps) == 11
-    assert "the tap at 0.73" in fit.warnings[0] and "does not have the two modes of the others" in fit.warnings[0]
+    assert "the tap at 0.73" in fit.warnings[0] and "lacks the two modes of the other taps" in fit.warnings[0]
     assert sorted([fit.frequency_hz.value, fit.second.frequency_hz.value if fit.second else 0.0]) == pytest.approx(
         [1100, 2900], rel=0.002
     )
@@ -469,14 +469,14 @@ def test_an_amplitude_that_is_no_line_has_its_own_law(bent: Callable[[Floats], F
     recording, truth = made("delrin", bent(speeds), noise_rms=0.005)
     fit = fit_tap([dataclasses.replace(recording, speed_m_per_s=speeds)])
     assert fit.law.kind == kind and not fit.linear
-    # It is a law as good as a line.
+    # The law is as good as a line.
     assert fit.verdict.startswith(
         f"good: one mode explains {100 * fit.variance_accounted_for:.1f} % of 16 taps, A(v) is a"
     )
     assert "not a line through the origin: AICc is higher by" in fit.warnings[0]
     tap = Tap.model_validate(fit.material()["tap"])
     for speed in np.linspace(0.1, 0.4, 61):
-        # Of a table: between its points.
+        # A table is compared between its points.
         assert tap.amplitude_m_per_s2(speed) == pytest.approx(truth.slope_per_s * bent(speed), rel=0.03)
     first_peak = Tap.model_validate(fit.material("first_peak")["tap"])
     assert first_peak.coefficient(first_peak.amplitude_m_per_s2(0.25)) == pytest.approx(tap.amplitude_m_per_s2(0.25))
@@ -488,7 +488,7 @@ def test_an_amplitude_that_is_no_line_has_its_own_law(bent: Callable[[Floats], F
 def test_what_is_fitted_rendered_and_fitted_again_is_the_same(name: str) -> None:
     recording, _ = made(name)
     fit = fit_tap([recording])
-    # At each speed, from outside to inside between two ticks, and out again.
+    # At each speed the probe moves into the wall between two ticks, and out again.
     rate_hz, mass_kg, out, inside = 10_000.0, 0.05, 300, 700
     one = np.concatenate((np.full(out, 2.0**-12), np.full(inside, -(2.0**-12))))
     path = np.column_stack((np.zeros(len(SPEEDS) * len(one)), np.tile(one, len(SPEEDS))))
@@ -544,11 +544,11 @@ def test_steel_behind_a_known_filter_comes_back() -> None:
     assert known.verdict.startswith("good: ")
 
 
-# ---- What no model has -----------------------------------------------------------------------------------------------
+# ---- Shapes that the model lacks -------------------------------------------------------------------------------------
 
 
 def with_shape(name: str, shape: Callable[[Floats, Mode], Floats], noise_rms: float = 0.005) -> Recording:
-    """Taps with something besides, times slope and speed: of the time since the onset."""
+    """Return taps plus a shape, a function of the time since the onset, times slope and speed."""
     recording, truth = made(name, noise_rms=noise_rms)
     acceleration = samples_of(recording).copy()
     time_s = np.arange(len(acceleration)) / recording.rate_hz
@@ -589,7 +589,7 @@ def tap_truth(name: str) -> float:
     return made(name)[1].slope_per_s
 
 
-def test_a_tap_far_off_the_line_of_the_others_is_told() -> None:
+def test_a_tap_far_off_the_line_of_the_others_is_reported() -> None:
     recording, _ = made("glass")
     speeds = SPEEDS.copy()
     speeds[4] *= 3
@@ -599,7 +599,7 @@ def test_a_tap_far_off_the_line_of_the_others_is_told() -> None:
     assert fit.verdict.startswith("fair: ")
 
 
-def test_a_frequency_that_moves_with_the_speed_is_told() -> None:
+def test_a_frequency_that_moves_with_the_speed_is_reported() -> None:
     tap = tap_of("delrin")
     assert tap.mode.frequency_hz == pytest.approx(93)
     files = []
@@ -612,7 +612,7 @@ def test_a_frequency_that_moves_with_the_speed_is_told() -> None:
 
 
 def moving(hertz: Callable[[float], float], decay_s: Callable[[float], float]) -> list[Recording]:
-    """A tap in each file, with a mode of its own."""
+    """Return recordings of one tap each, with a different mode in each."""
     files = []
     for index, speed in enumerate(SPEEDS):
         own = Tap(attack_slope_per_s=509, frequency_hz=hertz(speed), decay_time_s=decay_s(speed))
@@ -685,7 +685,7 @@ def test_the_second_mode_has_intervals_and_a_table() -> None:
 
 @pytest.mark.long
 def test_the_table_is_of_the_lines_that_are_nearest() -> None:
-    # A(v) of straight lines with a corner, on the table's own speeds: nothing is averaged away.
+    # A(v) is two straight lines whose corner is at a speed of the table, which loses nothing.
     speeds = np.repeat([0.1, 0.2, 0.3, 0.4], 3)
     as_if = np.interp(speeds, [0.1, 0.2, 0.3, 0.4], [0.02, 0.2, 0.3, 0.35])
     recording, truth = made("delrin", as_if, noise_rms=0.001)
@@ -701,9 +701,9 @@ def test_the_table_is_of_the_lines_that_are_nearest() -> None:
 
 
 def refused(recording: Recording) -> str:
-    with pytest.raises(FitError) as told:
+    with pytest.raises(FitError) as caught:
         fit_tap([recording])
-    text = str(told.value)
+    text = str(caught.value)
     assert "\n" not in text
     return text
 
@@ -716,7 +716,7 @@ def test_noise_has_no_onset() -> None:
 
 
 def events(shape: Floats, rate_hz: float = 25_000.0) -> list[Recording]:
-    """The same shape four times in a recording, at four speeds."""
+    """Return a recording with the same shape four times, at four speeds."""
     random = np.random.default_rng(8)
     found = []
     for speed in (0.1, 0.2, 0.3, 0.4):
@@ -728,9 +728,9 @@ def events(shape: Floats, rate_hz: float = 25_000.0) -> list[Recording]:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("shape", "told"),
+    ("shape", "message"),
     [
-        (np.ones(1), "a glitch|its shape is not a ringing: its peak is 10[0-9] times the noise"),
+        (np.ones(1), "a glitch|the shape is not a ringing: the peak is 10[0-9] times the noise"),
         pytest.param(
             np.random.default_rng(7).normal(0, 1, 1000), "a decaying sinusoid explains", marks=pytest.mark.slow
         ),
@@ -740,8 +740,8 @@ def events(shape: Floats, rate_hz: float = 25_000.0) -> list[Recording]:
     ],
     ids=["spikes", "noise", "lasting", "huge", "slow"],
 )
-def test_what_is_no_tap_is_refused(shape: Floats, told: str) -> None:
-    with pytest.raises(FitError, match=told):
+def test_what_is_no_tap_is_refused(shape: Floats, message: str) -> None:
+    with pytest.raises(FitError, match=message):
         fit_tap(events(shape))
 
 
@@ -756,7 +756,7 @@ def test_clipped_taps_are_left_out_and_all_of_them_refused() -> None:
     fit = fit_tap([recording])
     assert 3 <= len(fit.taps) < 10
     assert len(fit.warnings) == 10 - len(fit.taps)
-    assert all("is clipped" in warning for warning in fit.warnings)
+    assert all("left out: clipped" in warning for warning in fit.warnings)
     assert off(fit.slope_per_s, truth.slope_per_s) < 0.02
     recording, _ = made(full_scale_m_per_s2=20.0)
     assert "clipped at 20 m/s^2" in refused(recording)
@@ -767,7 +767,7 @@ def test_a_tap_too_weak_for_its_noise_is_left_out() -> None:
     speeds = SPEEDS**2 / 0.25
     recording, truth = made(speeds=speeds)
     fit = fit_tap([recording])
-    assert "too weak for its noise" in fit.warnings[0]
+    assert "too weak for the noise" in fit.warnings[0]
     assert [tap.speed_m_per_s for tap in fit.taps] == pytest.approx(speeds[1:])
     assert off(fit.slope_per_s, truth.slope_per_s) < 0.02
 
@@ -804,7 +804,7 @@ def test_what_is_missing_is_named() -> None:
 
 
 @pytest.mark.long
-def test_what_only_looks_like_taps_is_refused() -> None:
+def test_events_that_only_resemble_taps_are_refused() -> None:
     recording, _ = made()
     assert "the force is 0 throughout" in refused(dataclasses.replace(recording, force_n=np.zeros(25_000)))
     assert "throughout" in refused(dataclasses.replace(recording, force_n=np.ones(25_000)))
@@ -818,7 +818,7 @@ def test_what_only_looks_like_taps_is_refused() -> None:
     unknown = dataclasses.replace(recording, speed_m_per_s=np.where(np.arange(10) == 9, 0.002, SPEEDS))
     assert "does not rise with the speed" in refused(unknown)
     signs = np.repeat([1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0], 2500)
-    assert "4 of 10 taps begin with the other sign" in refused(
+    assert "4 of 10 taps begin with the opposite sign" in refused(
         with_samples(recording, signs * (samples_of(recording) - 9.80665))
     )
     twice = dataclasses.replace(recording, source=Source("taps.npz", "ab"))
@@ -826,7 +826,7 @@ def test_what_only_looks_like_taps_is_refused() -> None:
         fit_tap([twice, twice])
 
 
-def test_gravity_in_the_wrong_unit_is_told() -> None:
+def test_gravity_in_the_wrong_unit_is_reported() -> None:
     recording, _ = made("steel")
     fit = fit_tap([with_samples(recording, samples_of(recording) / 9.80665)])
     assert "is the acceleration in g?" in fit.warnings[0]

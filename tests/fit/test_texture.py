@@ -1,4 +1,4 @@
-"""Textures with known truth, and what is refused."""
+"""Textures: fits of synthetic strokes with known parameters, and refusals."""
 
 import dataclasses
 from collections.abc import Callable
@@ -67,7 +67,7 @@ def test_a_stroke_between_two_models_has_spectrum_and_level_of_one() -> None:
 
 
 @pytest.mark.slow
-def test_a_frequency_that_moves_with_speed_is_told() -> None:
+def test_a_frequency_that_moves_with_speed_is_reported() -> None:
     slow, fast = sandpaper(140.0, 190.0), sandpaper(180.0, 230.0)
     recordings = [
         texture(slow if speed < 0.1 else fast, speed, force, Stylus(seed=k), Hand(duration_s=6.0))
@@ -81,7 +81,7 @@ def test_a_frequency_that_moves_with_speed_is_told() -> None:
 
 @pytest.mark.slow
 def test_autoregressive_models_have_the_spectrum() -> None:
-    """A resonance over another: the truth's own spectrum, in dB."""
+    """The model's spectrum of two resonances differs from the true one by few dB."""
     radius = (0.93, 0.9)
     polynomial = np.array([1.0])
     for r, hz in zip(radius, (180.0, 420.0), strict=True):
@@ -110,8 +110,8 @@ def test_autoregressive_models_have_the_spectrum() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mains_hz", [50.0, 59.9])
-def test_hum_is_told(mains_hz: float) -> None:
-    """A fifth of the RMS is a line with 4 % of the power."""
+def test_hum_is_reported(mains_hz: float) -> None:
+    """A tone with a fifth of the RMS is a line with 4 % of the power."""
     spoilt, clean = [], strokes(sandpaper(160.0, 210.0), 4, 5.0)
     for recording in clean:
         heard = recording.acceleration_m_per_s2
@@ -119,9 +119,9 @@ def test_hum_is_told(mains_hz: float) -> None:
         time = np.arange(len(heard)) / recording.rate_hz
         hum = 0.2 * np.std(heard) * np.sqrt(2) * np.sin(2 * np.pi * mains_hz * time)
         spoilt.append(dataclasses.replace(recording, acceleration_m_per_s2=heard + hum))
-    (told,) = (warning for warning in fit_texture(spoilt).warnings if "hum" in warning)
-    assert f"a line at {mains_hz:g} Hz holds" in told
-    assert float(told.split("holds ")[1].split(" %")[0]) == pytest.approx(100 * 0.04 / 1.04, rel=0.3)
+    (message,) = (warning for warning in fit_texture(spoilt).warnings if "hum" in warning)
+    assert f"a line at {mains_hz:g} Hz holds" in message
+    assert float(message.split("holds ")[1].split(" %")[0]) == pytest.approx(100 * 0.04 / 1.04, rel=0.3)
     assert not any("hum" in warning for warning in fit_texture(clean).warnings)
 
 
@@ -173,13 +173,13 @@ SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
 @pytest.mark.parametrize(("changed", "reason"), SPOILT)
 def test_refusals_say_why(changed: Callable[[Recording], dict[str, object]], reason: str) -> None:
     spoilt = [dataclasses.replace(each, **changed(each)) for each in strokes(sandpaper(160.0, 210.0), 1, 2.0)]
-    with pytest.raises(FitError, match=reason) as told:
+    with pytest.raises(FitError, match=reason) as caught:
         fit_texture(spoilt)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
 
 
 def noises() -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
-    """4 s at 10 kHz of what is no texture."""
+    """Return 4 s at 10 kHz of accelerations that are not textures."""
     random, time = np.random.default_rng(1), np.arange(40_000) / 10_000
     white = random.standard_normal(len(time))
     return {

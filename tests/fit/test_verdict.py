@@ -1,4 +1,4 @@
-"""The verdict on a fit: its thresholds, the material that keeps it, and who shows it."""
+"""The verdict on a fit: limits, the verdict in a material, and the commands that show it."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_verdict_in_words() -> None:
 
 @pytest.mark.long
 def test_the_material_keeps_the_verdict() -> None:
-    """Of what a later fit replaces, the verdict goes, too."""
+    """The verdict of a fit is dropped if a later fit replaces its values."""
     truth = validate_materials({"film": {"stiffness_n_per_m": 500.0, "rupture": RUPTURE}})["film"]
     recordings = [puncture(truth, 0.05 + 0.01 * seed, Stylus(seed=seed)) for seed in range(3)]
     fit = fit_puncture(recordings)
@@ -79,12 +79,12 @@ def test_the_material_keeps_the_verdict() -> None:
 
 
 def test_a_verdict_that_is_none_is_refused() -> None:
-    for verdict, told in (
+    for verdict, message in (
         ({"tap": "good"}, "m.provenance.verdict.tap"),
         ({"tap": {"quality": "fine"}}, "m.provenance.verdict.tap.quality"),
     ):
         origin = {"files": [{"path": "a"}], "date": "2026-01-01", "version": "1", "verdict": verdict}
-        with pytest.raises(InvalidError, match=re.escape(told)):
+        with pytest.raises(InvalidError, match=re.escape(message)):
             validate_materials({"m": {"stiffness_n_per_m": 1.0, "provenance": origin}}, ("materials",))
 
 
@@ -97,8 +97,8 @@ def test_check_shows_the_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[s
     (pine,) = (each for each in report.materials if each.name == "pine")
     assert pine.verdict == {"texture": "poor", "tap": "good"}
     assert all(not each.verdict for each in report.materials if each.name != "pine")
-    (told,) = report.notes
-    assert str(told) == "materials.pine.provenance.verdict.texture: the fit is poor: no law"
+    (message,) = report.notes
+    assert str(message) == "materials.pine.provenance.verdict.texture: the fit is poor: no law"
 
     file = tmp_path / "pine.yaml"
     file.write_text(

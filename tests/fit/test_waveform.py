@@ -1,4 +1,4 @@
-"""Taps that are pulses: the waveform that is found against the curve that was recorded, and when one is chosen."""
+"""Taps that are pulses: the fitted waveform compared with the recorded curve, and the choice of a waveform."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ SPEEDS = np.array([0.05, 0.31, 0.12, 0.44, 0.2, 0.08, 0.5, 0.26, 0.36, 0.16, 0.4
 
 
 def push(x: Floats) -> Floats:
-    """A push of one sign, over x from 0 to 1, with a peak of 1."""
+    """Return a pulse of one sign, over x from 0 to 1, with a peak of 1."""
     return np.asarray(np.where((x > 0) & (x < 1), np.sin(np.pi * np.clip(x, 0, 1)) ** 1.5, 0.0))
 
 
 def thud(x: Floats) -> Floats:
-    """A steep rise, a slow fall, and a pull after it."""
+    """Return a pulse with a steep rise, a slow fall, and a pull after that."""
     rise = np.sin(np.pi / 2 * np.clip(4 * x, 0, 1)) ** 2
     fall = np.cos(np.pi / 2 * np.clip((x - 0.25) / 0.75, 0, 1)) ** 2
     pull = np.sin(np.pi * np.clip((x - 1) / 0.6, 0, 1)) ** 2
@@ -50,7 +50,7 @@ def recorded(
     speeds: Floats = SPEEDS,
     seed: int = 1,
 ) -> tuple[Recording, Floats]:
-    """Pulses of PEAK_PER_S times the speed, GAP_S apart, at any place between two samples; and their onsets."""
+    """Return pulses with peaks of PEAK_PER_S times the speed, one every GAP_S, not at samples, and their onsets."""
     random = np.random.default_rng(seed)
     time_s = np.arange(round(rate_hz * GAP_S * len(speeds))) / rate_hz
     onsets_s = GAP_S * np.arange(len(speeds)) + 0.06 + random.uniform(0, 1, len(speeds)) / rate_hz
@@ -67,7 +67,7 @@ def waveform_of(*recordings: Recording, kind: str = "waveform") -> WaveformFit:
 
 
 def explained(found: WaveformFit, shape: Callable[[Floats], Floats], width_s: float) -> float:
-    """Of the true curve by the one that was found, wherever that begins."""
+    """Return the fraction of the true curve's variance that the fitted curve explains at the best onset."""
     fine = np.linspace(-0.5 * width_s, 2.5 * width_s, 3001)
     truth = shape(fine / width_s)
     left = [np.sum((truth - found.curve.at(fine + s)) ** 2) for s in np.linspace(-0.4 * width_s, 0.4 * width_s, 161)]
@@ -94,7 +94,7 @@ def test_the_waveform_is_the_curve_that_was_recorded(
     assert len(found.taps) == len(SPEEDS)
     assert found.samples[0] == found.samples[-1] == 0
     assert found.length_s < 2.2 * width_s
-    # All onsets are as far from the true ones: the curve begins a little before or after what is felt.
+    # All onsets have the same error: the curve begins slightly before or after the pulse.
     off_s = np.array([tap.onset_s for tap in found.taps]) - onsets_s
     assert np.ptp(off_s) < 0.3 / rate_hz
     assert found.verdict.startswith("good: a waveform explains ")
@@ -102,7 +102,7 @@ def test_the_waveform_is_the_curve_that_was_recorded(
 
 @pytest.mark.long
 def test_the_waveform_begins_at_the_contact() -> None:
-    """Hum lies over the seven samples of rest, and over what comes after the pulse."""
+    """Hum is added to the seven samples of rest, and to the samples after the pulse."""
     width_s, random = 0.0045, np.random.default_rng(4)
     time_s = np.arange(160) / 1000
     recordings, onsets_s = [], []
@@ -124,7 +124,7 @@ def test_the_waveform_begins_at_the_contact() -> None:
 
 @pytest.mark.long
 def test_a_waveform_that_is_not_over_begins_at_the_contact() -> None:
-    """What lasts longer than a waveform may leaves the level of the rest open."""
+    """A pulse that is longer than a waveform does not show the level at rest."""
     random = np.random.default_rng(8)
     time_s = np.arange(160) / 1000
     recordings, off_s = [], []
@@ -142,7 +142,7 @@ def test_a_waveform_that_is_not_over_begins_at_the_contact() -> None:
 
 
 def held(found: WaveformFit, shape: Callable[[Floats], Floats], width_s: float) -> float:
-    """Part of the samples whose intervals hold the true curve, laid over the one that was found."""
+    """Return the fraction of samples whose intervals contain the true curve, aligned with the fitted curve."""
     fine, at = np.arange(-0.01, found.length_s + 0.01, 1e-4), np.arange(len(found.samples)) / found.rate_hz
     shifts = np.linspace(-0.4 * width_s, 0.4 * width_s, 401)
     left = [np.sum((shape((fine + s) / width_s) - found.curve.at(fine)) ** 2) for s in shifts]
@@ -152,7 +152,7 @@ def held(found: WaveformFit, shape: Callable[[Floats], Floats], width_s: float) 
 
 @pytest.mark.long
 def test_intervals_hold_what_lies_between_the_samples() -> None:
-    """A steep rise of 2.5 samples with next to no noise."""
+    """A steep rise, in 2.5 samples, with very little noise."""
     found = waveform_of(recorded(thud, noise=0.01)[0])
     assert held(found, thud, 0.01) >= 0.8
     assert found.first_peak_slope_per_s.low < PEAK_PER_S < found.first_peak_slope_per_s.high
@@ -161,7 +161,7 @@ def test_intervals_hold_what_lies_between_the_samples() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", [push, thud])
 def test_intervals_hold_the_truth_as_often_as_they_say(shape: Callable[[Floats], Floats]) -> None:
-    """In 100 sets; less the luck of so many."""
+    """In 100 sets, less the scatter of 100 sets."""
     slopes, curves = [], []
     for seed in range(100):
         width_s = 0.01 + 0.00002 * seed
@@ -197,7 +197,7 @@ def test_the_rendered_tap_is_the_recorded_one() -> None:
 
 
 def test_the_equations_are_those_of_the_curve() -> None:
-    """By a dense least squares of the kernel's sums."""
+    """Compared with a dense least-squares fit of the kernel's sums."""
     random = np.random.default_rng(3)
     pulses, placed, rows, sides = [], [], [], []
     for _ in range(5):
@@ -240,7 +240,7 @@ def test_taps_that_saturate_get_a_table() -> None:
 
 
 @pytest.mark.long
-def test_a_tap_that_is_another_is_left_out_and_told() -> None:
+def test_a_tap_that_is_another_is_left_out_and_reported() -> None:
     recording, _ = recorded()
     samples = recording.acceleration_m_per_s2
     assert samples is not None
@@ -249,7 +249,7 @@ def test_a_tap_that_is_another_is_left_out_and_told() -> None:
     found = waveform_of(recording)
     assert len(found.taps) == len(SPEEDS) - 2
     assert [line for line in found.warnings if "is left out: the waveform of the others explains" in line]
-    assert [line for line in found.warnings if "is left out: it pushes with the other sign" in line]
+    assert [line for line in found.warnings if "is left out: pushes with the opposite sign" in line]
     assert len(found.left_out) == 2
     with pytest.raises(FitError, match="--strict forbids exclusions"):
         fit_taps([recording], "waveform", excluded=Exclusions(strict=True))
@@ -270,8 +270,8 @@ def test_a_waveform_of_the_minority_of_the_taps_is_not_good() -> None:
     assert found.judged.quality == "fair"
     gone = len(SPEEDS) - usable
     assert found.judged.reasons == (f"{gone} of {len(SPEEDS)} taps are left out",)
-    told = found.to_dict()["left_out"]
-    assert isinstance(told, list) and len(told) == gone
+    message = found.to_dict()["left_out"]
+    assert isinstance(message, list) and len(message) == gone
 
 
 @pytest.mark.long
@@ -298,7 +298,7 @@ def test_two_samples_of_rest_are_enough() -> None:
 
 
 @pytest.mark.long
-def test_a_pulse_that_is_not_over_is_faded_out_and_told() -> None:
+def test_a_pulse_that_is_not_over_is_faded_out_and_reported() -> None:
     recording, _ = recorded(lambda x: (1 - np.exp(-3 * np.maximum(x, 0))) * np.exp(-np.maximum(x, 0) / 5), noise=0.02)
     found = waveform_of(recording)
     assert found.length_s <= 0.1
@@ -307,7 +307,7 @@ def test_a_pulse_that_is_not_over_is_faded_out_and_told() -> None:
     assert found.samples[-1] == 0
     slope = found.first_peak_slope_per_s
     assert slope.high - slope.value < 0.05 * slope.value
-    # The interval holds what the fading takes away.
+    # The interval contains the error of the fade-out.
     assert found.deviations[-2] > 0.2
 
 
@@ -362,12 +362,12 @@ def test_the_command_writes_a_waveform(tmp_path: Path, capsys: pytest.CaptureFix
     file = str(tmp_path / "pulses.npz")
     save(recording, file)
     assert main(["fit", "tap", file, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert "--as mode fits a mode" in " ".join(told["notes"])
-    tap = told["materials"]["tap"]["tap"]
+    message = json.loads(capsys.readouterr().out)
+    assert "--as mode fits a mode" in " ".join(message["notes"])
+    tap = message["materials"]["tap"]["tap"]
     assert tap["attack"] == "first_peak"
     assert tap["waveform"]["samples"][0] == 0
-    assert validate_materials({"tap": told["materials"]["tap"]})["tap"].tap is not None
+    assert validate_materials({"tap": message["materials"]["tap"]})["tap"].tap is not None
     assert main(["fit", "tap", file, "--json", "--as", "mode"]) == 0
     as_mode = json.loads(capsys.readouterr().out)["materials"]["tap"]["tap"]
     assert "waveform" not in as_mode and ("frequency_hz" in as_mode or "mode_table" in as_mode)
