@@ -1,4 +1,4 @@
-"""The front of `--text`: participant and experimenter at one terminal.
+"""The front (user interface) of `--text`: participant and experimenter at one terminal.
 
 An answer is chosen by its key in the study, or by its number. A line that begins with a colon is a command of the
 experimenter: `:pause`, `:repeat`, `:note TEXT`, `:abort`. Escape aborts the session, as `:abort` does. If the input is
@@ -26,16 +26,21 @@ from rich.markdown import Markdown
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.front import CLEARANCE_POLL_S, Choice, Command, CommandKind, Reply, Shown, Watched
+from hapticd.experiment.front import (
+    CLEARANCE_POLL_S,
+    COMMAND_KINDS,
+    STAGE_CHECK_INTERVAL_S,
+    Choice,
+    Command,
+    Reply,
+    Shown,
+    Watched,
+)
 from hapticd.experiment.replies import typed_reply
 from hapticd.experiment.stage import Stage
 
-STAGE_CHECK_PERIOD_S: Final = 0.5
-"""Time between two checks that the forces are still on (`Stage.check`), while waiting for input."""
-EXPERIMENTER_COMMANDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
-"""Commands that can follow a colon."""
 _TERMINAL_SEQUENCES: Final = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left", " ": "space"}
-"""Names of keys by the characters that a terminal sends."""
+"""The characters that a terminal sends for a key, and the name of the key."""
 _ESCAPE_KEY: Final = "escape"
 _ENTER_KEY: Final = "enter"
 
@@ -66,18 +71,18 @@ class Keys:
     def read(self, timeout_s: float) -> str | None:
         """Return the next key, or None after the timeout.
 
-        A key of a terminal is a character or a name such as `left`. Of another input it is the next line. Raises
+        From a terminal, a key is a character or a name such as `left`; from another input, it is a line. Raises
         HapticdError at the end of the input.
         """
         return self._await(self._key if self._terminal else self._line, timeout_s)
 
     def line(self, timeout_s: float, begun: str = "") -> str | None:
-        """Return the next line, which starts with `begun`, or None if it is incomplete after the timeout."""
+        """Return the next line, or None if it is incomplete after the timeout. `begun` was already read of the line."""
         self._pending = begun + self._pending
         return self._await(self._line, timeout_s)
 
     def _await(self, parse: Callable[[], str | None], timeout_s: float) -> str | None:
-        """Read input until `parse` returns a text from it. Returns that text, or None after the timeout."""
+        """Read input until `parse` returns a text, and return this text, or None after the timeout."""
         deadline = time.monotonic() + timeout_s
         while (found := parse()) is None:
             if self._ended:
@@ -160,7 +165,7 @@ class TextFront:
         return None
 
     def may_enable(self) -> Command | None:
-        """Return None, since commands are only read while this front waits for input."""
+        """Return None: at a terminal, commands are only read while the front waits for input."""
         return None
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
@@ -210,7 +215,7 @@ class TextFront:
         """Print that the session is paused, and wait for Enter."""
         return self._wait_for_enter("\nPaused, the forces are off. Press Enter to continue.")
 
-    def tell(self, line: str) -> None:
+    def show_line(self, line: str) -> None:
         """Print one line for the experimenter."""
         self._say(line)
 
@@ -263,10 +268,10 @@ class TextFront:
         return Reply(None, timed_out=True)
 
     def _next(self, stage: Stage | None, deadline: float, lines: bool = False) -> str | Command | None:
-        """Return the next key, line or command, or None at the deadline. Calls `stage.check` meanwhile."""
+        """Return the next key, line or command, or None at the deadline. While it waits, it calls `stage.check`."""
         while (left_s := deadline - time.monotonic()) > 0:
             read: Callable[[float], str | None] = self._keys.line if lines else self._keys.read
-            typed = read(min(STAGE_CHECK_PERIOD_S, left_s))
+            typed = read(min(STAGE_CHECK_INTERVAL_S, left_s))
             if typed is None:
                 if stage is not None:
                     stage.check()
@@ -287,10 +292,10 @@ class TextFront:
             self._say(":")
             line = None
             while line is None:
-                line = self._keys.line(STAGE_CHECK_PERIOD_S, "")
+                line = self._keys.line(STAGE_CHECK_INTERVAL_S, "")
             line = ":" + line
         word, _, text = cast(str, line)[1:].strip().partition(" ")
-        for kind in EXPERIMENTER_COMMANDS:
+        for kind in COMMAND_KINDS:
             if word == kind:
                 return Command(kind, text.strip())
         self._say(f":{word}: unknown command; must be :pause, :repeat, :note TEXT or :abort")

@@ -174,7 +174,7 @@ class ScriptedFront:
         """By the name of the method that is to give them."""
         self.watched: list[Watched] = []
         self.shown: list[Shown] = []
-        self.told: list[str] = []
+        self.lines: list[str] = []
         self.feedbacks: list[str] = []
         self.asked: list[str] = []
         self.answers_on_disk: list[tuple[int, Any, bool | None]] = []
@@ -226,8 +226,8 @@ class ScriptedFront:
     def paused(self) -> Command | None:
         return self._command("paused")
 
-    def tell(self, line: str) -> None:
-        self.told.append(line)
+    def show_line(self, line: str) -> None:
+        self.lines.append(line)
 
 
 def planned(document: Mapping[str, Any] = STUDY, seed: int = 3, participant: str = "P07") -> Plan:

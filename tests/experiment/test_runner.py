@@ -193,7 +193,7 @@ def test_forces_that_are_lost_in_a_trial_make_it_begin_again(tmp_path: Path) -> 
 
     front = ScriptedFront()
     assert started(tmp_path, NotedStage(fails), front).run() == "ended"
-    assert len(front.told) == 2
+    assert len(front.lines) == 2
     assert [record["attempt"] for record in _records(tmp_path, "answer")] == [3, 1, 1, 1, 1, 1]
     left[0] = 100
     root = tmp_path / "always"

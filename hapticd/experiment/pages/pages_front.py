@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.front import CLEARANCE_POLL_S, Command, Reply, Seen, Shown, Watched
+from hapticd.experiment.front import CLEARANCE_POLL_S, STAGE_CHECK_INTERVAL_S, Command, Reply, Seen, Shown, Watched
 from hapticd.experiment.pages import screens
 from hapticd.experiment.pages.console import Console, Doing, Row, rows_of
 from hapticd.experiment.pages.screens import Screen
@@ -26,8 +26,6 @@ from hapticd.experiment.session_log import Record
 from hapticd.experiment.stage import Stage
 
 Who: TypeAlias = Literal["participant", "experimenter"]
-STAGE_CHECK_INTERVAL_S: Final = 0.5
-"""Time between two checks that the forces are still on (`Stage.check`), while waiting for a page."""
 PAGES_SERVER_TIMEOUT_S: Final = 3.0
 """The server of the pages counts as stuck if it does not report for this time."""
 _WAIT_TEXT: Final = "Please wait for the experimenter."
@@ -168,7 +166,7 @@ class PagesFront:
         the session is complete.
         """
         self._show(screens.over(f"{text}\n\n{self._feedback if complete else ''}"), "over")
-        self.tell(line)
+        self.show_line(line)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
         """Show the study's instructions, and wait until the experimenter begins the session."""
@@ -239,7 +237,7 @@ class PagesFront:
     def not_done(self, trial: int, why: str) -> None:
         """Keep the reason why the trial begins again for the next screen, and show it to the experimenter."""
         self._feedback = f"{why} The trial begins again."
-        self.tell(f"trial {trial} begins again: {why}")
+        self.show_line(f"trial {trial} begins again: {why}")
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
         """Show a break; after its shortest duration wait until participant or experimenter continues."""
@@ -252,7 +250,7 @@ class PagesFront:
     def _too_early(self, message: _PageMessage | None) -> None:
         """Show the remaining time to an experimenter who continues before the end of the shortest allowed break."""
         if message is not None and _continued(message, ("experimenter",)) is not None:
-            self.tell(f"The break lasts at least {self._least_s:g} s: {math.ceil(self._left_s())} s left")
+            self.show_line(f"The break lasts at least {self._least_s:g} s: {math.ceil(self._left_s())} s left")
 
     def _left_s(self) -> float:
         return max(0.0, self._until_s - time.monotonic())
@@ -264,7 +262,7 @@ class PagesFront:
             pass  # the session is already paused
         return message
 
-    def tell(self, line: str) -> None:
+    def show_line(self, line: str) -> None:
         """Append a line to the log on the experimenter's page."""
         with self._lock:
             self._console.say(line)
@@ -314,7 +312,7 @@ class PagesFront:
         if not missing:
             return None
         line = f"paused: {' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} away"
-        self.tell(line)
+        self.show_line(line)
         return Command("pause", line)
 
     def _wait_to_continue(self, *who: Who, automatic: bool = False) -> Command | None:
@@ -336,7 +334,7 @@ class PagesFront:
             )
             missing = self._missing()
             if missing and pressed and not auto:
-                self.tell(f"{' and '.join(missing)} must be open to continue")
+                self.show_line(f"{' and '.join(missing)} must be open to continue")
             return True if (auto or pressed or willing) and not missing else None
 
         if accept(None):

@@ -111,7 +111,7 @@ class SimulatedFront:
         """Return None: a pause ends immediately."""
         return None
 
-    def tell(self, line: str) -> None:
+    def show_line(self, line: str) -> None:
         """Ignore a line for the experimenter."""
 
     def _answer(self, shown: Shown) -> str | float | None:
