@@ -123,8 +123,7 @@ class DaemonStage:
     def enable(self) -> None:
         """Switch the forces on.
 
-        Raises HapticdError if another client changed the scene since `arm`, if the lease lapsed, or if a fault is
-        latched.
+        Raises HapticdError if another client changed the scene since `arm`, the lease lapsed, or a fault persists.
         """
         revision = self._client.get_status()["revision"]
         if revision != self._revision:

@@ -39,7 +39,7 @@ class Progress:
     answered: int = 0
     answered_in_test: int = 0
     wrong_in_a_row: int = 0
-    """Number of wrong answers in the test since the last correct one."""
+    """Number of successive wrong answers in the test, up to the newest answer."""
     test_began_s: float | None = None
     """Onset of the first answered trial of the test, in s on the session's clock; None before its answer."""
     began: bool = False

@@ -1,8 +1,8 @@
 """The front (user interface) of `--text`: participant and experimenter at one terminal.
 
 An answer is chosen by its key in the study, or by its number. A line that begins with a colon is a command of the
-experimenter: `:pause`, `:repeat`, `:note TEXT`, `:abort`. Escape aborts the session, as `:abort` does. If the input is
-not a terminal, each line is one key.
+experimenter: `:pause`, `:repeat`, `:note TEXT`, `:abort`. Escape aborts the session like `:abort`. If the input is not
+a terminal, each line counts as one key.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _ENTER_KEY: Final = "enter"
 
 
 class Keys:
-    """Keys from a terminal, or lines from another input."""
+    """Reads keys from a terminal, or lines from another input."""
 
     def __init__(self, stream: TextIO) -> None:
         self._fd = stream.fileno()
@@ -57,7 +57,7 @@ class Keys:
 
     @contextmanager
     def single(self) -> Iterator[None]:
-        """Read keys one by one and without echo while the context lasts."""
+        """Set the terminal, while the context lasts, to report keys one by one and without echo."""
         if not self._terminal:
             yield
             return
@@ -119,7 +119,7 @@ class Keys:
 
 
 class TextFront:
-    """Participant and experimenter at one terminal; see `Front` for the methods."""
+    """The user interface of participant and experimenter at one terminal; see `Front` for the methods."""
 
     def __init__(self, source: TextIO | None = None, out: TextIO | None = None) -> None:
         self._keys = Keys(source or sys.stdin)
@@ -129,7 +129,7 @@ class TextFront:
         self._console = Console(file=self._out, highlight=False)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
-        """Print title, instructions and progress, and wait for Enter."""
+        """Print title, instructions and progress of a session, and wait for Enter."""
         self._say(f"{title}\n")
         self._say_markdown(instructions)
         self._say(f"{done} of {'at most ' if at_most else ''}{wording.count(total, 'trial')} done.")
@@ -147,7 +147,7 @@ class TextFront:
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
         """Print the number of the trial, and wait for Enter."""
-        # Names of stimuli are for the experimenter only. The participant could read them at this terminal.
+        # The names of stimuli are not printed, as the participant could read them at this terminal.
         again = f", attempt {watched.attempt}" if watched.attempt > 1 else ""
         total = f"at most {shown.total}" if shown.at_most else f"{shown.total}"
         self._say(f"\nTrial {shown.number} of {total}{again}. {watched.answered} answered.")
@@ -158,7 +158,7 @@ class TextFront:
         self._say("Move the stylus away from all surfaces. Then the forces are switched on.")
         with self._keys.single():
             while not stage.is_clear():
-                # The stage is not checked here: a fault stays latched until the forces are switched on.
+                # `stage.check` is not called: if a fault persists, `enable` raises an error.
                 typed = self._next(None, time.monotonic() + CLEARANCE_POLL_S)
                 if isinstance(typed, Command):
                     return typed
@@ -197,10 +197,10 @@ class TextFront:
         self._say(f"{why} Trial {trial} begins again.")
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        """Print nothing, since the participant would read it at this terminal."""
+        """Print nothing: the participant could read the answer's result at this terminal."""
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """Print the text of a break, and wait for its end and for Enter."""
+        """Print the text of a break, and wait for Enter after at least `least_s` seconds."""
         self._say("")
         self._say_markdown(text or "A break.")
         ends = time.monotonic() + least_s
@@ -288,7 +288,7 @@ class TextFront:
     def _command(self, begun: str) -> Command | None:
         line: str | None = begun
         if begun == ":":
-            # On a terminal the rest of the line is still being typed. The stage is not checked until it is complete.
+            # On a terminal the rest of the line is still being typed. Until Enter, `stage.check` is not called.
             self._say(":")
             line = None
             while line is None:
@@ -308,4 +308,4 @@ _INPUT_HINTS: Final[dict[str, Callable[[Shown], str]]] = {
     "number": lambda shown: "Type a number, then Enter.",
     "text": lambda shown: "Type a text, then Enter.",
 }
-"""Instruction for the input, by kind of question with a typed answer."""
+"""Functions that return the instruction for typing an answer, by kind of question."""
