@@ -30,7 +30,7 @@ class Analysis:
     sections: tuple[Section, ...]
     files: tuple[Path, ...]
     published: str | None
-    """Name of the published results next to which the results are shown, or None."""
+    """Name of the published results that are shown next to the results of the sessions, or None."""
 
     @property
     def tables(self) -> tuple[ResultTable, ...]:
@@ -39,7 +39,7 @@ class Analysis:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes of all sections: results that could not be computed and why, and limits of the others."""
+        """Notes of all sections on results that could not be computed, with the reason, or are of limited validity."""
         return tuple(note for section in self.sections for note in section.notes)
 
     def to_dict(self) -> dict[str, Json]:

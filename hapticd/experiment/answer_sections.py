@@ -63,21 +63,12 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
         pooled_cells = _percent_cells(sum(pooled), len(pooled), facts.chance)
         test = proportion(sum(pooled), len(pooled), facts.chance)
         in_paper = published.quartiles.get(condition)
-        listed.append(
-            (
-                condition,
-                found.participants,
-                found.median,
-                found.low,
-                found.high,
-                *(in_paper or (None,) * 3)[: 3 if published.quartiles else 0],
-                *pooled_cells[:1],
-                *pooled_cells[2:],
-                test.p_value,
-            )
-        )
+        own_quartiles = found.median, found.low, found.high
+        paper_cells = (in_paper or (None,) * 3) if published.quartiles else ()
+        pooled_cells = *pooled_cells[:1], *pooled_cells[2:], test.p_value
+        listed.append((condition, found.participants, *own_quartiles, *paper_cells, *pooled_cells))
         labels.append(condition)
-        ours.append((found.median, found.low, found.high))
+        ours.append(own_quartiles)
         theirs.append(in_paper or (np.nan,) * 3)
     if not listed:
         return Section(())
@@ -137,11 +128,8 @@ def pairs(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -
     if ranks:
         note = "Spearman's coefficient over all pairs in both matrices, including the diagonal; 1 is the same order."
         head = ("condition", "pairs", "rank correlation")
-        tables.append(
-            ResultTable(
-                "rank_correlation", "Order of the pairs compared with the publication", head, tuple(ranks), note
-            )
-        )
+        title = "Order of the pairs compared with the publication"
+        tables.append(ResultTable("rank_correlation", title, head, tuple(ranks), note))
     return Section(tuple(tables), tuple(pictures), compares_published=bool(ranks))
 
 
@@ -181,13 +169,8 @@ def scales(rows: Sequence[Row], facts: StudyFacts) -> Section:
         "Pairs of equal items do not count."
     )
     head = ("condition", "item", "log strength", "low 95 %", "high 95 %")
-    table = ResultTable(
-        "bradley_terry",
-        "Scale of paired comparisons (Bradley and Terry, ties after Davidson)",
-        head,
-        tuple(listed),
-        note,
-    )
+    title = "Scale of paired comparisons (Bradley and Terry, ties after Davidson)"
+    table = ResultTable("bradley_terry", title, head, tuple(listed), note)
     return Section((table,), (_scale_picture(found),), tuple(notes))
 
 
@@ -215,17 +198,8 @@ def confusions(rows: Sequence[Row], facts: StudyFacts) -> Section:
             )
         )
         bits = information(found.counts)
-        listed.append(
-            (
-                condition,
-                len(judged),
-                bits.transfer,
-                bits.corrected,
-                bits.stimuli,
-                100 * bits.relative,
-                2.0**bits.corrected,
-            )
-        )
+        transfer = bits.transfer, bits.corrected, bits.stimuli, 100 * bits.relative, 2.0**bits.corrected
+        listed.append((condition, len(judged), *transfer))
     if not listed:
         return Section(())
     head = (

@@ -34,7 +34,7 @@ class Row:
     """A row of a table of answers: a trial."""
 
     cells: Mapping[str, str]
-    """The cells as text, by column, without missing ones."""
+    """The cells as text, by column, without missing cells."""
     where: str
     """File and line of the row."""
 
@@ -71,7 +71,7 @@ class Row:
 
     @property
     def right(self) -> bool | None:
-        """Whether the answer was correct; None if the study defines none."""
+        """Whether the answer was correct; None if the study defines no correct answer."""
         text = self.cells.get("correct")
         if text not in (None, "0", "1"):
             raise HapticdError(f"{self.where}: correct must be 1, 0 or {MISSING_CELL}, is {quoted(text)}")
@@ -120,7 +120,7 @@ class StudyFacts:
     staircases: Mapping[str, Mapping[str, Json]] = field(default_factory=dict)
     """The parameters (`method`) of each procedure that is a staircase, by the name of the procedure."""
     crossed: bool = False
-    """Whether cells are combinations of levels (trial.cross). If not, an adaptive trial's cell is its procedure."""
+    """Whether cells are combinations of levels (trial.cross). If not, an adaptive procedure is a cell."""
     conditions: tuple[str, ...] = ()
     """Names of the conditions, in the order of the study."""
     items: tuple[str, ...] = ()

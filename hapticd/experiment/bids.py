@@ -203,10 +203,7 @@ def _task(folder: SessionFolder) -> dict[str, Json]:
         "TaskName": folder.about["title"],
         "TaskDescription": question["text"],
         "Instructions": study["instructions"],
-        "StimulusPresentation": {
-            "SoftwareName": "hapticd",
-            "SoftwareVersion": folder.about["version"],
-        },
+        "StimulusPresentation": {"SoftwareName": "hapticd", "SoftwareVersion": folder.about["version"]},
     }
 
 

@@ -142,9 +142,8 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
     """Return the name of the correct answer if the stimuli of a cell are presented in this order, or None.
 
     `order` holds indices of `cell.levels`. If the question asks for the highest or lowest level, the answer that means
-    the position of that stimulus is correct. Without such a question it is the answer for the target of a forced
-    choice. In an identification the answer that names the stimulus's level is correct, in a ranking the positions in
-    order.
+    the position of that stimulus is correct, in a ranking all positions in order of level. Otherwise the answer that
+    means the target of a forced choice is correct. In an identification it is the answer that names the level.
 
     Returns None if the study defines no correct answer. Stimuli with equal levels need an answer that means `same`, and
     a listed forced choice needs `correct` or a question that asks.

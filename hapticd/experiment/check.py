@@ -106,7 +106,7 @@ def check_study(study: Study, rig: Config) -> StudyReport:
 
 
 def breaks_of(plan: Plan) -> int:
-    """Count the breaks of a plan's test: after `every_trials` trials each, and with `between_blocks` between blocks."""
+    """Count the breaks of a plan's test: one every `every_trials` trials, and with `between_blocks` between blocks."""
     breaks = plan.study.breaks
     test = [trial for trial in plan.trials if trial.phase == "test"]
     return sum(

@@ -28,7 +28,7 @@ from hapticd.protocol.results import Event
 from hapticd.recording.recording import load
 
 RUNNER_LEASE_S: Final = 3.0
-"""Duration of the lease (right to use forces). If the session's process hangs or dies, they fade when it lapses."""
+"""Duration of the lease, the right to use forces. Forces fade when it lapses because the process hangs or died."""
 TELEMETRY_LAG_TIMEOUT_S: Final = 20.0
 """Longest wait for the telemetry of a trial after its end. A machine that takes longer is too busy to record."""
 FADE_TIMEOUT_S: Final = 5.0

@@ -289,7 +289,7 @@ def _listed(study: Study, listed: ListedTrial, known: _Known, where: Path) -> It
 def _levels(
     study: Study, levels: Mapping[str, Scalar], known: _Known, where: Path, any_number: bool = False
 ) -> Iterator[Fault]:
-    """Yield the faults of a stimulus's levels. With `any_number`, a numeric factor may have any number."""
+    """Yield the faults of a stimulus's levels. With `any_number`, every number is a level of a numeric factor."""
     for name, level in levels.items():
         factor = study.factors.get(name)
         if factor is None:
@@ -367,10 +367,7 @@ def _order(study: Study) -> Iterator[Fault]:
     if order.by == "procedure" and study.trial.procedures is None:
         yield ("order", "by"), "is procedure, but trial has no procedures"
     if order.by in ("repetition", "cell") and study.trial.procedures is not None:
-        yield (
-            ("order", "by"),
-            f"must be condition or procedure for a study with procedures, is {order.by}",
-        )
+        yield ("order", "by"), f"must be condition or procedure for a study with procedures, is {order.by}"
     if order.kind == "latin_square" and order.by in (None, "condition") and len(study.conditions) < 2:
         yield ("order", "kind"), "a Latin square needs two blocks or more, and the study has one condition"
 

@@ -127,7 +127,7 @@ class Command:
 class Front(Protocol):
     """The user interface of participant and experimenter.
 
-    A method returns a Command if that command, mostly of the experimenter, interrupted it, otherwise None or a Reply.
+    A method that is interrupted by a command returns the Command. Otherwise it returns None, or a Reply (`ask`).
     """
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
@@ -173,7 +173,7 @@ class Front(Protocol):
         """
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """Show a break, and return when it is continued, after `least_s` seconds or later."""
+        """Show a break, and return when the session is continued, at least `least_s` seconds later."""
 
     def paused(self) -> Command | None:
         """Show that the session is paused, and return when the experimenter continues."""

@@ -28,7 +28,7 @@ NAMED_KEYS: Final = ("left", "right", "up", "down", "space", "enter")
 MAX_TRIALS: Final = 100_000
 """Largest number of trials in a session."""
 MAX_STIMULI_PER_TRIAL: Final = len(POSITION_MEANINGS)
-"""Largest number of stimuli in a trial. Each position needs a meaning."""
+"""Largest number of stimuli in a trial: an answer can name no other position."""
 MAX_FACTOR_LEVELS: Final = 10_000
 """Largest number of levels of a factor."""
 
@@ -208,7 +208,7 @@ class Variable(Model):
 
 
 class Adaptive(Model):
-    """An adaptive procedure, which chooses the level of each trial from the answers to earlier ones."""
+    """A procedure that chooses the level of each trial: a staircase, QUEST+ or constant stimuli."""
 
     variable: Variable = Field(description="What the procedure varies.")
     method: Annotated[Method, Field(discriminator="kind")] = Field(description="The procedure and its parameters.")
@@ -407,9 +407,10 @@ class Study(Model):
         return self.questions[self.trial.question]
 
     def adaptive(self, procedure: str) -> Adaptive:
-        """Return the adaptive procedure of a run. A run is a sequence of trials in which the procedure has one state.
+        """Return the adaptive procedure of the run with the name `procedure`.
 
-        Its name is e.g. `rising`, or `rising.CONDITION.CELL` if each condition and cell has a separate run.
+        In a run, a procedure has one state. The name of a run is e.g. `rising`, or `rising.CONDITION.CELL` if each
+        condition and cell has a separate run.
         """
         assert self.trial.procedures is not None
         return self.trial.procedures[procedure.partition(".")[0]]

@@ -32,7 +32,7 @@ SAMPLES_OUTLET: Final = "hapticd samples"
 EVENTS_OUTLET: Final = "hapticd events"
 """Name of the LSL outlet of event codes."""
 OUTLET_BUFFER_S: Final = 60
-"""An outlet keeps the data of this time for a reader that lags."""
+"""An outlet keeps the newest data of this duration, for a reader that lags."""
 OUTLET_LINGER_S: Final = 0.5
 """Delay before an outlet is closed: closing drops unsent data, and LSL does not report when all was sent."""
 _DRAIN_TIMEOUT_S: Final = 1.0
@@ -113,14 +113,8 @@ class Outlets:
         """
         lsl = _pylsl()
         source = f"hapticd:{socket.gethostname()}:{directory}"
-        samples = lsl.StreamInfo(
-            SAMPLES_OUTLET,
-            "Haptics",
-            len(SAMPLE_CHANNELS),
-            float(status["rate_hz"]),
-            lsl.cf_double64,
-            f"{source}:samples",
-        )
+        count, rate_hz = len(SAMPLE_CHANNELS), float(status["rate_hz"])
+        samples = lsl.StreamInfo(SAMPLES_OUTLET, "Haptics", count, rate_hz, lsl.cf_double64, f"{source}:samples")
         self._describe(samples, status, [(each.label, each.unit, each.kind) for each in SAMPLE_CHANNELS])
         events = lsl.StreamInfo(EVENTS_OUTLET, "Markers", 1, lsl.IRREGULAR_RATE, lsl.cf_int32, f"{source}:events")
         self._describe(events, status, [("code", "none", "Marker")])

@@ -83,18 +83,8 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
     if not listed:
         return Section((), tuple(pictures), tuple(notes))
     head = (
-        "condition",
-        *(("cell",) if facts.crossed else ()),
-        "procedures",
-        "participant",
-        "function",
-        "trials",
-        "figure",
-        "unit",
-        "value",
-        "low 95 %",
-        "high 95 %",
-        "p of the fit",
+        *("condition", *(("cell",) if facts.crossed else ()), "procedures", "participant", "function", "trials"),
+        *("figure", "unit", "value", "low 95 %", "high 95 %", "p of the fit"),
     )
     note = (
         "The threshold is the level halfway between guess and 1 - lapse. If the level is a difference from a "
@@ -234,18 +224,8 @@ def motions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults)
                 means[condition] = mean_of_each(values)
                 found = quartiles(list(means[condition].values()))
                 trials = sum(map(len, values.values()))
-                summary.append(
-                    (
-                        measure,
-                        _unit(measure),
-                        condition,
-                        trials,
-                        found.participants,
-                        found.median,
-                        found.low,
-                        found.high,
-                    )
-                )
+                counts, places = (trials, found.participants), (found.median, found.low, found.high)
+                summary.append((measure, _unit(measure), condition, *counts, *places))
         for one, other in combinations(means, 2):
             both = sorted(set(means[one]) & set(means[other]))
             try:
@@ -305,10 +285,8 @@ def _motion_section(
             compared = [row[:-2] for row in compared]
         note = "Differences of the participants' means, with Student's interval."
         tables.append(ResultTable("comparisons", "Conditions compared", head, tuple(compared), note))
-        head = (
-            *("measure", "comparison", "participants", "effect size d_z", "low 95 %", "high 95 %"),
-            *("t", "p (t)", "p (Wilcoxon)"),
-        )
+        ends = "low 95 %", "high 95 %"
+        head = ("measure", "comparison", "participants", "effect size d_z", *ends, "t", "p (t)", "p (Wilcoxon)")
         note = "d_z (no unit) is the mean difference over its standard deviation, with the interval of noncentral t."
         tables.append(ResultTable("effects", "Size of the effects, and tests", head, tuple(effects), note))
     return Section(tuple(tables), tuple(pictures), tuple(notes), compares_published)

@@ -72,7 +72,7 @@ def measures_of(samples: Samples, events: Events, planes: Planes) -> dict[str, f
 def overtravel_m(samples: Samples, events: Events, planes: Planes) -> float | None:
     """Return how far the hand moved beyond the place of the first rupture, along the membrane's normal, in m.
 
-    Returns None without a rupture. Its place is interpolated between the two samples around the `onset_time_ns` of the
+    Returns None without a rupture. The place is interpolated between the two samples around the `onset_time_ns` of the
     first event `puncture`. The side of the resting membrane on which this place lies gives the direction of the motion.
     The velocity would be less reliable, because the hand may just have reversed.
     """

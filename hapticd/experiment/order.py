@@ -32,7 +32,7 @@ def _generator(seed: int, name: bytes, number: int) -> np.random.Generator:
 
 
 def participant_number(participant: str) -> int | None:
-    """Return the number at the end of a participant's name, as 7 for P07, or None without digits."""
+    """Return the number at the end of a participant's name, such as 7 for P07, or None without digits."""
     found = re.search(r"[0-9]{1,9}$", participant)
     return int(found[0]) if found else None
 

@@ -49,8 +49,8 @@ class PlannedTrial:
     correct: str | None
     """Name of the correct answer, or None if the study defines none."""
     procedure: str | None
-    """Name of the run of the adaptive procedure that chooses the level, or None. The trial is skipped if it has
-    ended."""
+    """Name of the run of the adaptive procedure that chooses the level, or None. If the procedure has ended before, the
+    trial is skipped."""
 
 
 @dataclass(frozen=True, slots=True)

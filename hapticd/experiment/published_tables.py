@@ -23,12 +23,12 @@ class PublishedMatrix:
 
 @dataclass(frozen=True, slots=True)
 class PublishedResults:
-    """Results of a publication, mostly by condition. Results that were not published are empty or None."""
+    """Results of a publication. Results that were not published are empty or None."""
 
     quartiles: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    """Median, first and third quartile of percent correct."""
+    """Median, first and third quartile of percent correct, by condition."""
     matrices: Mapping[str, PublishedMatrix] = field(default_factory=dict)
-    """Percent correct of each pair of items."""
+    """Percent correct of each pair of items, by condition."""
     difference: tuple[str, float, float] | None = None
     """Difference of a measure, with vibration minus without: name of the measure, mean, standard deviation."""
 

@@ -85,7 +85,7 @@ class Session:
     ) -> None:
         """Prepare a run of a session.
 
-        `monotonic_s` returns the time in s, from which response times are computed. An offline stage simulates it.
+        `monotonic_s` returns the time in s, from which response times are computed; offline it is the simulated time.
         """
         self._folder, self._log, self._plan = folder, log, plan
         self._stage, self._front = stage, front
@@ -410,7 +410,7 @@ class Session:
         return {name: found[name] for name in wanted}
 
     def _check_faults(self, trial: PlannedTrial, attempt: int) -> None:
-        """Give an attempt at a trial up, as `_repeat_attempt`, if the forces were switched off during the attempt."""
+        """Give up an attempt at a trial (`_repeat_attempt`) if the forces were switched off during the attempt."""
         try:
             self._stage.check()
         except HapticdError as error:
@@ -418,7 +418,7 @@ class Session:
         self._faults = 0
 
     def _repeat_attempt(self, trial: PlannedTrial, attempt: int, because: HapticdError) -> NoReturn:
-        """Give an attempt at a trial up after the error `because`.
+        """Give up an attempt at a trial after the error `because`.
 
         Raises _AttemptRepeated, with a pause if another client stopped the forces. The last of MAX_FAULTS_IN_A_ROW
         successive errors is raised itself.

@@ -155,7 +155,7 @@ class SessionFolder:
     def log(self) -> SessionLog:
         """Open the session's log for writing.
 
-        Raises HapticdError if another process has it open, or if it is damaged or cannot be written.
+        Raises HapticdError if another process has the log open, or if the log is damaged or cannot be written.
         """
         return SessionLog(self.path / LOG_FILE_NAME)
 
@@ -164,7 +164,7 @@ class SessionFolder:
         return read_log(self.path / LOG_FILE_NAME)
 
     def trial_file(self, trial: int, attempt: int) -> Path:
-        """Return a new file name for the telemetry of attempt `attempt`, from 1, at the trial with index `trial`."""
+        """Return an unused file name for the telemetry of an attempt, from 1, at the trial with index `trial`."""
         number = attempt
         while True:
             ending = "" if number == 1 else f"-{number}"

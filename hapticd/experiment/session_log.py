@@ -157,9 +157,9 @@ class SessionLog:
     """The log of a session in a file, which is locked while it is open. `append` returns when a record is on disk."""
 
     def __init__(self, path: Path) -> None:
-        """Open or create the log. An incomplete last line is removed and kept in a record `line_dropped`.
+        """Open or create the log. A record `line_dropped` replaces an incomplete last line.
 
-        Raises HapticdError if another process has it open, or if it is damaged or cannot be written.
+        Raises HapticdError if another process has the log open, or if the log is damaged or cannot be written.
         """
         self.path = path
         self.dropped: str | None = None

@@ -133,7 +133,7 @@ def place_of(study: Study, position: int) -> str | None:
 
 
 def value_of(variable: Variable, level: float) -> float:
-    """Return the value of a procedure's variable at `level`: that value, or reference plus or times the level."""
+    """Return the value of a procedure's variable at a level: the level, or the reference plus or times the level."""
     if variable.level == "value":
         return level
     return variable.reference + level if variable.level == "added" else variable.reference * level

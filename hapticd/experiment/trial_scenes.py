@@ -26,8 +26,9 @@ def configurations(study: Study, stimuli: Sequence[Stimulus], rig: Config | None
 def seen(study: Study, configs: Sequence[Config], stimuli: int) -> tuple[Seen, ...]:
     """Return the surface of each stimulus, in the order of presentation, without its material.
 
-    If stimuli are side by side, their surfaces are the objects or patches named like the study's places. If these are
-    too few, the surfaces of all objects are used, from left to right. Raises HapticdError if a stimulus has no surface.
+    Stimuli side by side have the surfaces of the objects named like the study's places, or of the patches whose
+    material has such a name. If these are too few, the surfaces of all objects are used, from left to right. Raises
+    HapticdError if a stimulus has no surface.
     """
     if study.trial.presentation == "places":
         found = list(_surfaces(configs[0]))

@@ -67,7 +67,7 @@ def bradley_terry(wins: npt.ArrayLike, ties: npt.ArrayLike | None = None, items:
 
 
 def _design(one: npt.NDArray[np.intp], other: npt.NDArray[np.intp], count: int, with_ties: bool) -> Floats:
-    """Return the design matrix (outcomes, pairs, parameters). Times the parameters it gives log weights of outcomes.
+    """Return the design matrix (outcomes, pairs, parameters): times the parameters, it is the log weights.
 
     The parameters are log s of all items except the last, which is 0, and with ties log v. A pair has 3 outcomes, or 2
     without ties. A term that all outcomes of a pair have in common is omitted.

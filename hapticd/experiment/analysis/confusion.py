@@ -57,10 +57,10 @@ class Information:
 
 
 def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str] = ()) -> Confusion:
-    """Return the confusion matrix of trials, from the stimulus and the answer of each.
+    """Return the confusion matrix of trials, from the stimulus shown and the answer given in each trial.
 
-    Stimuli and answers are sorted as in `order`. Names that it lacks follow, in the order of the trials. Raises
-    FitError without trials, and if the numbers of stimuli and answers differ.
+    Stimuli and answers are sorted as in `order`; other names follow, in the order of the trials. Raises FitError
+    without trials, and if the numbers of stimuli and answers differ.
     """
     if len(shown) != len(answered) or not shown:
         raise FitError(f"a confusion matrix needs one answer per trial, has {len(answered)} for {len(shown)} trials")

@@ -28,9 +28,9 @@ MAX_RESAMPLE_ROUNDS: Final = 12
 SEARCH_TOLERANCE: Final = 1e-11
 """The search ends after a step that increases the log probability by less than this."""
 RESAMPLE_TOLERANCE: Final = 1e-6
-"""The search for a resample ends after such an increase of the log probability; it is 0.0014 standard errors away."""
+"""SEARCH_TOLERANCE of the search for a resample. It corresponds to 0.0014 standard errors of a parameter."""
 _MIN_SEARCH_STEP: Final = 1e-7
-"""The search ends after a step that does not increase the probability and changes no parameter by more than this."""
+"""The search ends after a step that gains no probability and changes every parameter by less than this."""
 _MIN_POSITIVE: Final = 1e-12
 """Lower bound of probabilities, also added to the diagonal of the information matrix: avoids log(0) and 1 / 0."""
 _GRID_POINTS: Final = (25, 11)

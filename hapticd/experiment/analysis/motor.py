@@ -35,8 +35,8 @@ class PairedComparison:
 def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = CONFIDENCE_LEVEL) -> PairedComparison:
     """Compare the values (n,) of the same n participants, in the same order, in two conditions.
 
-    `level` is the confidence level of the intervals. Raises FitError for fewer than two participants, for numbers of
-    values that differ or values that are not finite, and if all differences are equal.
+    `level` is the confidence level of the intervals. Raises FitError for fewer than two participants, for unequal
+    numbers of values, for values that are not finite, and if all differences are equal.
     """
     first, second = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     if first.ndim != 1 or first.shape != second.shape:

@@ -26,8 +26,8 @@ class Proportion:
 def proportion(successes: int, trials: int, chance: float | None = None, level: float = CONFIDENCE_LEVEL) -> Proportion:
     """Return the proportion of successes among trials, with its interval of confidence `level`.
 
-    `chance` is the probability of a success by guessing. Raises FitError if it is outside 0 to 1, or for impossible
-    counts.
+    `chance` is the probability of a success by guessing. Raises FitError if `chance` is outside 0 to 1, or for
+    impossible counts.
     """
     if trials < 1 or not 0 <= successes <= trials:
         raise FitError(

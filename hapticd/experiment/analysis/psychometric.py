@@ -48,7 +48,7 @@ from hapticd.experiment.analysis.psychometric_shapes import (
 )
 
 PSYCHOMETRIC_FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
-"""Names of the figures of a fit, as the module lists them."""
+"""Names of the figures of a fit. The docstring of the module defines them."""
 BOOTSTRAP_RESAMPLES: Final = 2000
 """Default number of resamples of a bootstrap."""
 _STEP_MARGIN: Final = 0.05
@@ -87,7 +87,7 @@ class PsychometricFit:
         return float(_deviance(self, self.positive[None], self.parameters[None])[0])
 
     def undetermined(self, unit: str) -> str | None:
-        """Return a text if the answers do not determine the PSE, with the reason and a remedy, or None if they do.
+        """Return why the answers do not determine the PSE, with a remedy, or None if they determine it.
 
         `unit` is the unit of the levels, for the text.
         """
@@ -142,7 +142,7 @@ def fit(
 ) -> PsychometricFit:
     """Fit a psychometric function to `positive` of `trials` answers, both (k,), at levels (k,) in any order.
 
-    `guess` and `lapse` are fixed probabilities; None means that it is estimated. Raises FitError for answers at fewer
+    `guess` and `lapse` are fixed probabilities; one that is None is estimated. Raises FitError for answers at fewer
     than two levels, for impossible counts or parameters, and if all answers are equal.
     """
     if shape not in PSYCHOMETRIC_SHAPES:

@@ -26,7 +26,7 @@ MAX_COMMAND_CHARACTERS: Final = 10_000
 
 
 def methods(front: PagesFront, presence: Presence) -> dict[str, Method]:
-    """Return the methods of the experimenter's page, by the name by which the page calls them."""
+    """Return the functions that the experimenter's page may call, by the name of the method."""
 
     async def watch(page: Page, params: Mapping[str, object]) -> object:
         since = params.get("since", 0)

@@ -55,7 +55,7 @@ _PageMessage: TypeAlias = "_Continue | _Answer | _StateChanged | Command"
 
 
 class PagesFront:
-    """The user interface of a session, with a page for each of participant and experimenter; see `Front`."""
+    """The user interface of a session with two pages, for participant and experimenter; see `Front` for the methods."""
 
     def __init__(self, plan: Plan, changed: Callable[[], None]) -> None:
         """Create the user interface for the session of a plan.
@@ -357,10 +357,10 @@ class PagesFront:
     def _wait(
         self, accept: Callable[[_PageMessage], Any], stage: Stage | None = None, deadline: float = math.inf
     ) -> Any | Command | None:
-        """Wait for a message that `accept` accepts, about the current screen.
+        """Wait for a message about the current screen for which `accept` does not return None, and return its result.
 
-        Returns what `accept` returns for it, a command, or None at the deadline. A `stage` means that the forces are
-        on: `stage.check` is called, and a closed page causes a pause.
+        Returns instead a command that comes meanwhile, or None at the deadline. A `stage` means that the forces are on:
+        `stage.check` is called, and a closed page causes a pause.
         """
         number, next_check_s = self.screen["screen"], 0.0
         while (left_s := deadline - time.monotonic()) > 0:

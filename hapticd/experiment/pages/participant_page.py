@@ -35,7 +35,7 @@ STYLUS_TOPIC: Final = "stylus"
 
 
 def screen_number(params: Mapping[str, object]) -> int:
-    """Return the number of the screen that the parameters of a page's call name.
+    """Return `screen`, the number of a screen, from the parameters of a call by a page.
 
     Raises HapticdError if `screen` is missing or not an integer.
     """
@@ -46,7 +46,7 @@ def screen_number(params: Mapping[str, object]) -> int:
 
 
 def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Method]:
-    """Return the methods of the participant's page, by the name by which the page calls them.
+    """Return the functions that the participant's page may call, by the name of the method.
 
     `hand` is whether the page moves the hand of the simulated joystick.
     """

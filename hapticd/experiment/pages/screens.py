@@ -67,8 +67,8 @@ def trial(
     """Return the screen of a trial.
 
     `interval` counts from 1. `felt` is whether the forces are on, `asks` whether the question is shown, `withdraws`
-    whether the handle must be moved out first. `left_s` is the time for the answer in s, `feedback` that on the
-    previous trial.
+    whether the handle must be moved out first. `left_s` is the time for the answer in s, `feedback` the text
+    on the previous trial.
     """
     return {
         "kind": "trial",

@@ -49,7 +49,7 @@ _FINENESS_RANGE_PER_M: Final = (60.0, 1500.0)
 
 @dataclass(frozen=True, slots=True)
 class ObserverParameters:
-    """Noise and criterion of an observer, which limit how well it distinguishes stimuli.
+    """Noise and criterion of an observer, which limit how well the observer distinguishes stimuli.
 
     They maximize the likelihood of six cells in Table 2 of Okamura, Dennerlein and Howe (ICRA 1998): pairs of the soft
     materials wood, acrylic and delrin with force and vibration. No other value of the paper was used.
@@ -75,7 +75,7 @@ class Observer:
         return found + self._parameters.noise * float(self._chance.standard_normal())
 
     def compare(self, percepts: list[float], answers: tuple[Choice, ...]) -> str:
-        """Return the name of the answer for the stimulus with the largest percept, or that the stimuli are the same."""
+        """Return the name of the answer for the stimulus with the largest percept, or for equal stimuli."""
         by_meaning = {answer.means: answer.name for answer in answers}
         order = np.argsort(percepts)
         if "same" in by_meaning and percepts[order[-1]] - percepts[order[-2]] < self._parameters.criterion:
@@ -207,7 +207,7 @@ def loudness(felt: Samples, surface: Seen) -> float:
 
 
 FEATURE_FUNCTIONS: Final = {"hardness": hardness, "fineness": fineness, "loudness": loudness}
-"""Functions that compute a feature from samples and surface, by feature."""
+"""The function that computes each feature from the felt samples and the surface."""
 
 
 def rupture_felt_s(felt: Samples, surface: Seen) -> float | None:

@@ -84,7 +84,7 @@ class SimulatedFront:
         return None
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
-        """Feel the surfaces of the last interval, and return the answer. If the motion is measured, press instead."""
+        """Feel the surfaces of the last interval, and return the answer; for a measured motion only press."""
         if shown.kind == "measure":
             self._press(shown.surfaces[0], stage)
             return Reply(None)
