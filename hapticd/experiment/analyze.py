@@ -79,7 +79,7 @@ def analysis_of(behaviour: Behaviour) -> Analysis:
     used = answered or [row for row in tested if any(row.get(name) is not None for name in MEASURE_COLUMNS)]
     if not used:
         raise HapticdError(
-            f"nothing to analyze: none of {len(behaviour.rows)} trials is an answered trial of the test phase"
+            f"nothing to analyze: none of the {len(behaviour.rows)} trials belongs to the test and has an answer"
         )
     published = published_results(facts.published) if facts.published else PublishedResults()
     places = {name: place for place, name in enumerate(facts.conditions)}

@@ -150,7 +150,7 @@ class DaemonStage:
                 if not state["flags"] & Flag.FORCES_ON and state["force_n"] == [0.0, 0.0]:
                     return
         raise HapticdError(
-            f"the force is not zero {FADE_TIMEOUT_S:g} s after it was switched off; stop the device by hand"
+            f"the force is not zero {FADE_TIMEOUT_S:g} s after the forces were switched off; switch the device off"
         )
 
     def mark(self, text: str, data: Json) -> None:

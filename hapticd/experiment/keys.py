@@ -7,6 +7,7 @@ from typing import Annotated, Final, Literal, TypeAlias
 from pydantic import BeforeValidator, Field, Strict, StringConstraints
 
 from hapticd.base.model import CheckedTogether, Model, Name, one_of_two
+from hapticd.experiment.order import OrderKind
 from hapticd.experiment.plain_values import PlainMapping, PlainScalar, Scalar
 from hapticd.experiment.procedures.constant_stimuli import ConstantStimuliParameters
 from hapticd.experiment.procedures.quest_plus import QuestPlusParameters
@@ -283,7 +284,7 @@ class TrialDesign(Model):
 class StudyOrder(Model):
     """The order of the trials of the test."""
 
-    kind: Literal["random", "blocked", "latin_square", "listed"] = Field(
+    kind: OrderKind = Field(
         default="random",
         description="All trials mixed, blocks in random order, blocks by a Latin square over the participants, or the "
         "order of the file.",

@@ -155,7 +155,7 @@ def _replayed_staircase(parameters: StaircaseParameters, rows: Sequence[Row]) ->
         shown, due = row.number("level"), staircase.level()
         # A table of answers has nine digits of a level.
         if due is None or shown is None or not math.isclose(shown, due, rel_tol=1e-7, abs_tol=1e-12):
-            raise ProcedureError(f"{row.where}: this level is not the one that the staircase of the study shows next")
+            raise ProcedureError(f"{row.where}: the staircase of the study would not show this level next")
         staircase.answer(due, row.right is True)
     return staircase
 

@@ -160,7 +160,7 @@ def test_a_staircase_that_is_not_the_studys_has_a_note_and_no_mean(tmp_path: Pat
     found = analyze([tmp_path])
     assert not any(each.name == "staircases" for each in found.tables)
     (note,) = (each for each in found.notes if each.startswith("mean of reversals"))
-    assert note.endswith("_task-t_beh.tsv:2: this level is not the one that the staircase of the study shows next")
+    assert note.endswith("_task-t_beh.tsv:2: the staircase of the study would not show this level next")
 
 
 def test_sessions_without_tables_were_interrupted(tmp_path: Path) -> None:

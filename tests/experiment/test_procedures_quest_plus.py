@@ -168,7 +168,7 @@ def test_what_cannot_be_answered() -> None:
         one.estimate()
     sure = quest_plus(shape="logistic", axis="linear", levels=[0.0, 1e6], slopes=[1.0], guesses=[0.0], lapses=[0.0])
     sure.answer(1e6, True)
-    with pytest.raises(ProcedureError, match="has probability 0 on the grid"):
+    with pytest.raises(ProcedureError, match="has probability 0 at every grid point"):
         quest_plus(levels=[1.0, 1e6], thresholds=[1.0], slopes=[5.0], guesses=[0.0], lapses=[0.0]).answer(1e6, False)
 
 

@@ -41,7 +41,7 @@ def screen_number(params: Mapping[str, object]) -> int:
     """
     number = params.get("screen")
     if not isinstance(number, int) or isinstance(number, bool):
-        raise HapticdError("screen: must be the number of the screen")
+        raise HapticdError("screen: must be the number of a screen, an integer")
     return number
 
 

@@ -182,6 +182,8 @@ class QuestPlus(BaseProcedure[QuestPlusParameters]):
             )
         likelihood = self.table[place] if positive else 1.0 - self.table[place]
         if not float(np.sum(self.posterior * likelihood)) > 0:
-            raise ProcedureError(f"this answer to level {near:g} has probability 0 on the grid: add a lapse above 0")
+            raise ProcedureError(
+                f"this answer at level {near:g} has probability 0 at every grid point: add a lapse above 0"
+            )
         self.posterior = updated(self.posterior, likelihood)
         self.answers.append(Answer(near, positive))
