@@ -1,7 +1,7 @@
 """The complete analysis of the sessions of one study.
 
-Only answered trials of the test phase are used. Without any, the trials of the test with a measure of the motion are
-used. The summary says how many trials are left out.
+Only answered trials of the test phase are used. If there are none, test trials with a measure of the motion are used.
+The summary says how many trials are left out.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def critical_counts(total: int, chance: float, significance: float) -> tuple[int
 
 
 def power_of_difference(effect: DifferenceEffect, pairs: int, seed: int = _SIMULATION_SEED) -> Power:
-    """Simulate the power of a t test of a difference of a measure, with `pairs` pairs of trials of each participant.
+    """Simulate the power of a t test of the difference of a measure, with `pairs` pairs of trials per participant.
 
     Raises HapticdError if scipy is not installed.
     """

@@ -68,7 +68,7 @@ class _ArmedTrial:
 
 
 class Session:
-    """One run of a session by one process, from the first trial or from where the log ends."""
+    """One run of a session by one process, from the first trial, or from the point where the log ends."""
 
     def __init__(
         self,

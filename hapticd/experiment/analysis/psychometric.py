@@ -4,12 +4,12 @@ Fits maximize the likelihood, with a weak prior on an estimated lapse or guess (
 from a parametric bootstrap (Wichmann and Hill, "The psychometric function: II", Perception & Psychophysics 63, 2001):
 answers are drawn from the fitted function and fitted again, and the ends of an interval are percentiles.
 
-Figures, in the unit of the level unless stated otherwise. F is the function without guess and lapse, as in
-psychometric_shapes:
+F is the function without guess and lapse (psychometric_shapes). The figures have the unit of the level unless stated
+otherwise:
 
-    threshold         level at z = 0: F = 1/2, for a Weibull function F = 1 - 1/e
-    pse               point of subjective equality: F = 1/2
-    jnd               just noticeable difference: half the distance between F = 1/4 and F = 3/4
+    threshold         level at which F = 1/2, for a Weibull function 1 - 1/e
+    pse               point of subjective equality: level at which F = 1/2
+    jnd               just noticeable difference: half the distance between the levels at which F = 1/4 and F = 3/4
     weber_fraction    jnd / standard, or jnd / PSE if there is no standard; a ratio
     slope             as in psychometric_shapes, in the inverse unit of the axis
     guess, lapse      probabilities
@@ -140,7 +140,7 @@ def fit(
     rising: bool = True,
     standard: float | None = None,
 ) -> PsychometricFit:
-    """Fit a psychometric function to `positive` of `trials` answers, both (k,), at levels (k,) in any order.
+    """Fit a psychometric function to answers at levels (k,) in any order: `positive` (k,) of `trials` (k,) answers.
 
     `guess` and `lapse` are fixed probabilities; one that is None is estimated. Raises FitError for answers at fewer
     than two levels, for impossible counts or parameters, and if all answers are equal.

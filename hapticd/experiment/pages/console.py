@@ -1,4 +1,4 @@
-"""The content of the experimenter's page."""
+"""The content of the experimenter's page: state of the session, and saved answers."""
 
 from __future__ import annotations
 
