@@ -1,4 +1,4 @@
-"""Sections of an analysis on correct and incorrect answers: cells, conditions, pairs, scales, confusions."""
+"""Sections of an analysis on which answers were given, and which were correct: cells, conditions, pairs, and others."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from hapticd.experiment.published_tables import PublishedResults
 from hapticd.experiment.results import Cell, Dots, Matrices, ResultTable, Section
 
 _WILSON_COLUMNS: Final = ("low 95 %, %", "high 95 %, %")
-"""Columns of the limits of a Wilson interval, in percent."""
+"""Columns of the ends of Wilson's 95 % interval, in percent."""
 
 
 def by_condition(rows: Iterable[Row]) -> dict[str, list[Row]]:
-    """Group rows by their condition. Conditions and rows keep their order."""
+    """Group the rows of a table of answers by condition. Conditions and rows keep their order."""
     found: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         found[row["condition"]].append(row)
@@ -31,7 +31,7 @@ def by_condition(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def cells(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """Tabulate trials, correct answers and Wilson intervals of each cell (set of stimuli) of the study."""
+    """Tabulate trials, correct answers and Wilson's interval of each cell, a set of stimuli of the study."""
     groups: dict[tuple[str, str], list[bool]] = defaultdict(list)
     for row in rows:
         if row.right is not None:
@@ -45,9 +45,9 @@ def cells(rows: Sequence[Row], facts: StudyFacts) -> Section:
 
 
 def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
-    """Tabulate percent correct by condition, next to the published figures.
+    """Tabulate percent correct by condition, next to published figures.
 
-    Quartiles are over participants. The percentage of all trials is pooled over participants.
+    Median and quartiles are over participants. The percentage of all trials counts each trial once.
     """
     listed: list[tuple[Cell, ...]] = []
     labels, ours, theirs = [], [], []
@@ -63,21 +63,12 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
         pooled_cells = _percent_cells(sum(pooled), len(pooled), facts.chance)
         test = proportion(sum(pooled), len(pooled), facts.chance)
         in_paper = published.quartiles.get(condition)
-        listed.append(
-            (
-                condition,
-                found.participants,
-                found.median,
-                found.low,
-                found.high,
-                *(in_paper or (None,) * 3)[: 3 if published.quartiles else 0],
-                *pooled_cells[:1],
-                *pooled_cells[2:],
-                test.p_value,
-            )
-        )
+        own_quartiles = found.median, found.low, found.high
+        paper_cells = (in_paper or (None,) * 3) if published.quartiles else ()
+        pooled_cells = *pooled_cells[:1], *pooled_cells[2:], test.p_value
+        listed.append((condition, found.participants, *own_quartiles, *paper_cells, *pooled_cells))
         labels.append(condition)
-        ours.append((found.median, found.low, found.high))
+        ours.append(own_quartiles)
         theirs.append(in_paper or (np.nan,) * 3)
     if not listed:
         return Section(())
@@ -102,9 +93,9 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
 
 
 def pairs(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
-    """Tabulate percent correct of each pair of stimuli, and the rank correlation with the published matrix.
+    """Tabulate percent correct of each pair of stimuli, and the rank correlation with published percentages.
 
-    The matrices have the form of Tables 2 and 3 of Okamura et al. (1998).
+    The tables have the form of Tables 2 and 3 of Okamura et al. (1998): triangles with a row and a column per stimulus.
     """
     tables, pictures = [], []
     ranks: list[tuple[Cell, ...]] = []
@@ -137,16 +128,13 @@ def pairs(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -
     if ranks:
         note = "Spearman's coefficient over all pairs in both matrices, including the diagonal; 1 is the same order."
         head = ("condition", "pairs", "rank correlation")
-        tables.append(
-            ResultTable(
-                "rank_correlation", "Order of the pairs compared with the publication", head, tuple(ranks), note
-            )
-        )
+        title = "Order of the pairs compared with the publication"
+        tables.append(ResultTable("rank_correlation", title, head, tuple(ranks), note))
     return Section(tuple(tables), tuple(pictures), compares_published=bool(ranks))
 
 
 def scales(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """Fit the Bradley-Terry scale to paired comparisons, condition by condition."""
+    """Tabulate the Bradley-Terry scale of the paired comparisons of each condition."""
     listed: list[tuple[Cell, ...]] = []
     found: dict[str, Scale] = {}
     notes = []
@@ -181,18 +169,13 @@ def scales(rows: Sequence[Row], facts: StudyFacts) -> Section:
         "Pairs of equal items do not count."
     )
     head = ("condition", "item", "log strength", "low 95 %", "high 95 %")
-    table = ResultTable(
-        "bradley_terry",
-        "Scale of paired comparisons (Bradley and Terry, ties after Davidson)",
-        head,
-        tuple(listed),
-        note,
-    )
+    title = "Scale of paired comparisons (Bradley and Terry, ties after Davidson)"
+    table = ResultTable("bradley_terry", title, head, tuple(listed), note)
     return Section((table,), (_scale_picture(found),), tuple(notes))
 
 
 def confusions(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """Tabulate the confusion matrices of identification and the information transfer."""
+    """Tabulate confusion matrices and information transfer of the identifications of each condition."""
     tables, pictures = [], []
     listed: list[tuple[Cell, ...]] = []
     for condition, own in by_condition(rows).items():
@@ -215,17 +198,8 @@ def confusions(rows: Sequence[Row], facts: StudyFacts) -> Section:
             )
         )
         bits = information(found.counts)
-        listed.append(
-            (
-                condition,
-                len(judged),
-                bits.transfer,
-                bits.corrected,
-                bits.stimuli,
-                100 * bits.relative,
-                2.0**bits.corrected,
-            )
-        )
+        transfer = bits.transfer, bits.corrected, bits.stimuli, 100 * bits.relative, 2.0**bits.corrected
+        listed.append((condition, len(judged), *transfer))
     if not listed:
         return Section(())
     head = (
@@ -238,7 +212,7 @@ def confusions(rows: Sequence[Row], facts: StudyFacts) -> Section:
 
 
 def _ordered(names: Iterable[str], known: Sequence[str]) -> tuple[str, ...]:
-    """Sort names as in `known`. Other names follow, sorted as numbers or else as text."""
+    """Sort names in the order of `known`. Other names follow: first numbers by value, then texts."""
     present = set(names)
     listed = [name for name in dict.fromkeys(known) if name in present]
     return (*listed, *sorted(present.difference(listed), key=_sortable))

@@ -1,6 +1,6 @@
-"""Rows of answers from the folders of sessions (`*_beh.tsv`), and facts from the study.yaml of a session.
+"""Answers from the tables of sessions (`*_beh.tsv`), and facts about the study from a session's study.yaml.
 
-A row is a trial; a missing value is `n/a` (BIDS). From study.yaml only the members of `StudyFacts` are read.
+A row is a trial. A missing value is `n/a` (BIDS).
 """
 
 from __future__ import annotations
@@ -16,38 +16,43 @@ from hapticd.base.errors import HapticdError, quoted
 from hapticd.base.yaml_source import Json, load_path
 from hapticd.config.schema import unit_of
 from hapticd.experiment.bids import TASK_IN_FILE_NAME
-from hapticd.experiment.session_folder import LOG_FILE_NAME
+from hapticd.experiment.measures import MOTION_MEASURES
+from hapticd.experiment.session_folder import LOG_FILE_NAME, STUDY_FILE_NAME
 
 MISSING_CELL: Final = "n/a"
-"""A cell without a value, by BIDS."""
+"""Text of a cell without a value, as BIDS prescribes."""
 REQUIRED_COLUMNS: Final = ("participant", "phase", "condition", "cell", "response", "correct")
 """Columns without which a table is rejected."""
-MEASURE_COLUMNS: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m", "response_time")
-"""Columns with a numeric measure of a trial. Its unit ends the name; response_time is in s."""
+MEASURE_COLUMNS: Final = (*MOTION_MEASURES, "response_time")
+"""Columns with a numeric measure of a trial. The name ends with the unit; response_time is in s."""
 _MAX_STUDY_FOLDER_LEVELS: Final = 3
-"""Number of folders searched for study.yaml, upwards: beh/, the session's, the participant's."""
+"""Number of folders in which study.yaml is searched, from a table upwards: beh/, the session's, the participant's."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row of a table of answers: the texts of a trial by column, without missing ones."""
+    """A row of a table of answers: a trial."""
 
     cells: Mapping[str, str]
+    """The cells as text, by column, without missing cells."""
     where: str
-    """File and line."""
+    """File and line of the row."""
 
     def __getitem__(self, name: str) -> str:
         found = self.cells.get(name)
         if found is None:
-            raise HapticdError(f"{self.where}: has no value of {name}")
+            raise HapticdError(f"{self.where}: no value in the column {name}")
         return found
 
     def get(self, name: str) -> str | None:
-        """Return the text of a cell, or None if the trial does not have it."""
+        """Return the cell in the column `name` as text, or None if it is missing."""
         return self.cells.get(name)
 
     def number(self, name: str) -> float | None:
-        """Return a cell as a number, or None if it is missing. Raises HapticdError if it is not a number."""
+        """Return the cell in the column `name` as a number, or None if it is missing.
+
+        Raises HapticdError if the cell is not a number.
+        """
         text = self.cells.get(name)
         if text is None:
             return None
@@ -58,7 +63,7 @@ class Row:
 
     @property
     def stimuli(self) -> tuple[str, ...]:
-        """The names of the stimuli, in the order of presentation."""
+        """The names of the trial's stimuli, in the order of presentation."""
         found: list[str] = []
         while (name := self.cells.get(f"stimulus_{len(found) + 1}")) is not None:
             found.append(name)
@@ -66,7 +71,7 @@ class Row:
 
     @property
     def right(self) -> bool | None:
-        """Whether the answer was correct; None if no answer was defined as correct."""
+        """Whether the answer was correct; None if the study defines no correct answer."""
         text = self.cells.get("correct")
         if text not in (None, "0", "1"):
             raise HapticdError(f"{self.where}: correct must be 1, 0 or {MISSING_CELL}, is {quoted(text)}")
@@ -75,17 +80,17 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """The quantity that an adaptive procedure varies.
+    """The quantity that an adaptive procedure varies, and how the answers depend on it.
 
-    Procedures with equal `Varied` share one psychometric function within a condition and a cell.
+    Within a condition and a cell, procedures with equal `Varied` are fitted by one psychometric function.
     """
 
     variable: str | None = None
-    """The key that is varied; its name ends with its unit."""
+    """Name of the quantity, which ends with its unit."""
     at: tuple[str, ...] = ()
-    """Paths of the keys that are set to the value of the variable."""
+    """Paths of the keys of the configuration that are set to the value of the quantity."""
     reference: float | None = None
-    """Value in the stimuli that the target is compared with."""
+    """Value of the quantity in the stimuli that the target is compared with."""
     level: str = "value"
     """Meaning of the level: "value", "added" (to the reference) or "factor" (multiplies the reference)."""
     logarithmic: bool = False
@@ -104,26 +109,26 @@ class Varied:
 
 @dataclass(frozen=True, slots=True)
 class StudyFacts:
-    """Facts about the study that an analysis needs."""
+    """Facts about a study that the analysis of its sessions needs."""
 
     title: str
     trial_type: str | None = None
     chance: float | None = None
     published: str | None = None
     varied: Mapping[str, Varied] = field(default_factory=dict)
-    """The varied quantity of each adaptive procedure, by name."""
+    """The varied quantity of each adaptive procedure, by the name of the procedure."""
     staircases: Mapping[str, Mapping[str, Json]] = field(default_factory=dict)
-    """The parameters (`method`) of each procedure that is a staircase, by name."""
+    """The parameters (`method`) of each procedure that is a staircase, by the name of the procedure."""
     crossed: bool = False
-    """Whether cells are combinations of levels (trial.cross). If not, an adaptive trial's cell is its procedure."""
+    """Whether cells are combinations of levels (trial.cross). If not, an adaptive procedure is a cell."""
     conditions: tuple[str, ...] = ()
     """Names of the conditions, in the order of the study."""
     items: tuple[str, ...] = ()
     """Levels of all factors, in the order of the study."""
     meanings: Mapping[str, str] = field(default_factory=dict)
-    """Meaning of each answer, by name: first, second, ..., or same."""
+    """The position that an answer means (first, second, ...), or same; by the name of the answer."""
     levels: Mapping[str, str] = field(default_factory=dict)
-    """Level that an answer names, by name of the answer."""
+    """The level that an answer names in an identification, by the name of the answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +142,9 @@ class Behaviour:
 
 
 def read_behaviour(folders: Sequence[Path]) -> Behaviour:
-    """Read every session below the folders.
+    """Read the tables of answers in the folders and their subfolders.
 
-    Raises HapticdError if there is no table, a row is invalid, or the tables belong to several studies.
+    Raises HapticdError if there is no table, if one is invalid, or if the tables belong to several studies.
     """
     files = sorted({file.resolve(): file for folder in folders for file in _tables(folder)}.values())
     tasks = sorted({match[1] if (match := TASK_IN_FILE_NAME.search(file.name)) else file.name for file in files})
@@ -191,16 +196,16 @@ def _rows(file: Path) -> Iterator[Row]:
 def _facts(files: Sequence[Path], task: str) -> StudyFacts:
     for file in files:
         for folder in list(file.resolve().parents)[:_MAX_STUDY_FOLDER_LEVELS]:
-            if (folder / "study.yaml").is_file():
-                data = load_path(folder / "study.yaml").data
+            if (folder / STUDY_FILE_NAME).is_file():
+                data = load_path(folder / STUDY_FILE_NAME).data
                 return facts_of(data if isinstance(data, dict) else {}, task)
     return facts_of({}, task)
 
 
 def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
-    """Return the facts that an analysis needs from a study's YAML, with defaults for missing keys.
+    """Return the facts about a study from the content of its YAML, with defaults for missing keys.
 
-    `task` replaces a missing title.
+    `task`, the label in the names of its tables, replaces a missing title.
     """
     trial, analysis, questions = (_mapping(study.get(key)) for key in ("trial", "analysis", "questions"))
     asked = _mapping(questions.get(str(trial.get("question")), next(iter(questions.values()), None)))
@@ -236,7 +241,7 @@ def _varied(procedure: Mapping[str, Json], chance: Json) -> Varied:
     guesses = method.get("guesses")
     guess = guesses[0] if isinstance(guesses, list) and len(guesses) == 1 else method.get("guess", chance)
     reference = variable.get("reference")
-    # The defaults of the axis, as in experiment.procedures.
+    # The defaults of the axis are those of experiment.procedures.
     axis = method.get("axis", "logarithmic" if method.get("kind") == "quest_plus" else "linear")
     return Varied(
         variable=name if isinstance(name, str) else None,

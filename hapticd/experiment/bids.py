@@ -1,4 +1,4 @@
-"""Behaviour as tidy tables that follow BIDS 1.9: beh.tsv and events.tsv with their JSON sidecars, made from the log.
+"""Tables of answers and events as BIDS 1.9 prescribes: beh.tsv and events.tsv, each with a JSON file on its columns.
 
 Every table is rewritten from the log each time a session ends. Cells without a value are `n/a`. `.bidsignore` lists the
 files of a session that BIDS does not know.
@@ -17,13 +17,20 @@ from hapticd.base.errors import HapticdError, collapse_whitespace
 from hapticd.base.files import write_atomically
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.measures import MOTION_MEASURES
-from hapticd.experiment.session_folder import STUDY_FILE_NAME, SessionFolder, participant_label
+from hapticd.experiment.session_folder import (
+    LOG_FILE_NAME,
+    PLAN_FILE_NAME,
+    SESSION_FILE_NAME,
+    STUDY_FILE_NAME,
+    SessionFolder,
+    participant_label,
+)
 from hapticd.experiment.session_log import Record
 
 BIDS_VERSION: Final = "1.9.0"
 """Version of the Brain Imaging Data Structure that the tables follow."""
-_BIDSIGNORE_PATTERNS: Final = ("study.yaml", "plan.json", "session.json", "log.jsonl", "*.npz")
-"""Files of a session that BIDS does not know."""
+_BIDSIGNORE_PATTERNS: Final = (STUDY_FILE_NAME, PLAN_FILE_NAME, SESSION_FILE_NAME, LOG_FILE_NAME, "*.npz")
+"""Files of a session that BIDS does not know, for .bidsignore."""
 _README_TEXT: Final = """\
 Sessions of `hapticd experiment`, a folder for each participant and session.
 
@@ -35,7 +42,7 @@ session, seed, versions and device. A `.npz` file is the telemetry of a trial. `
 statistics and a report.
 """
 TASK_IN_FILE_NAME: Final = re.compile(r"_task-([^_]+)_beh\.tsv$")
-"""Pattern of the study's label in the file name of a table of answers."""
+"""Finds the label of the study (its task, in BIDS) in the file name of a table of answers."""
 _FIXED_COLUMNS: Final = (
     "onset", "duration", "participant", "session", "phase", "block", "trial", "condition", "cell", "repetition",
     "attempt", "question", "response", "correct", "response_time", "procedure", "level",
@@ -43,7 +50,7 @@ _FIXED_COLUMNS: Final = (
 """Columns that every table of answers has, in this order."""
 
 Row = dict[str, Json]
-"""The cells of a trial or an event, by column; None for a missing value."""
+"""A row of a table, a trial or an event: its cells by column, None for a missing value."""
 
 _COLUMN_DESCRIPTIONS: Final[dict[str, dict[str, Json]]] = {
     "onset": {"Description": "When the forces of the trial were switched on, on the session's clock", "Units": "s"},
@@ -74,8 +81,8 @@ _COLUMN_DESCRIPTIONS: Final[dict[str, dict[str, Json]]] = {
 def rows_of(folder: SessionFolder) -> list[Row]:
     """Return the answered trials of a session, one row per trial, in the order of the answers.
 
-    Besides the fixed columns there are `stimulus_1`, ..., `FACTOR_1`, ... for each place or interval, and one column
-    per measure. None stands for a missing value. Raises HapticdError if the session cannot be read.
+    Besides the fixed columns there are `stimulus_1`, ..., `FACTOR_1`, ... for each place or interval, and a column for
+    each measure. Raises HapticdError if the session cannot be read.
     """
     planned = {each["index"]: each for each in cast("list[dict[str, Any]]", folder.plan["trials"])}
     started: dict[tuple[Json, Json], Record] = {}
@@ -109,7 +116,7 @@ def _row(folder: SessionFolder, trial: Mapping[str, Any], answer: Record, stimul
 
 
 def _ordered_columns(names: set[str]) -> list[str]:
-    """Sort the columns of a table of answers: the fixed ones, then those of the stimuli, then the measures."""
+    """Return the columns of a table of answers in order: fixed columns, columns of the stimuli, measures."""
     others = sorted(names - set(_FIXED_COLUMNS) - set(MOTION_MEASURES), key=_numbered)
     return [*_FIXED_COLUMNS, *others, *(name for name in MOTION_MEASURES if name in names)]
 
@@ -120,7 +127,7 @@ def _numbered(name: str) -> tuple[str, int]:
 
 
 def event_rows_of(folder: SessionFolder) -> list[Row]:
-    """Return the events of a session (trials, answers, breaks, pauses, notes), one row each with its onset."""
+    """Return the events of a session (trials, answers, breaks, pauses, notes), one row per event with its onset."""
     rows: list[Row] = []
     for record in folder.contents().records:
         if "at_s" in record:
@@ -132,18 +139,17 @@ def event_rows_of(folder: SessionFolder) -> list[Row]:
 
 
 def write_tables(folder: SessionFolder) -> list[Path]:
-    """Write the tables of a session and the files of the data set.
+    """Write the tables of a session and the files of its data set, and return the files.
 
-    Returns the files that were written. Raises HapticdError if one cannot be written.
+    Raises HapticdError if a file cannot be written.
     """
     return [*write_session_tables(folder), *write_data_set(folder.root, str(folder.about["title"]))]
 
 
 def write_session_tables(folder: SessionFolder, synced: bool = True) -> list[Path]:
-    """Write the tables of a session, `*_events.json` last.
+    """Write the tables of a session, `*_events.json` last, and return the files.
 
-    With `synced` they are on disk (fsync) on return. Returns the files that were written. Raises HapticdError if one
-    cannot be written.
+    With `synced` the files are on disk (fsync) on return. Raises HapticdError if a file cannot be written.
     """
     label = participant_label(folder.participant)
     stem = f"sub-{label}_ses-{folder.session:02d}_task-{task_label(str(folder.about['title']))}"
@@ -161,9 +167,9 @@ def write_session_tables(folder: SessionFolder, synced: bool = True) -> list[Pat
 
 
 def write_data_set(root: Path, title: str) -> list[Path]:
-    """Write the description of the data set and the list of its participants.
+    """Write the description of a data set and the list of its participants, and return the files.
 
-    Returns the files that were written. Raises HapticdError if one cannot be written.
+    Raises HapticdError if a file cannot be written.
     """
     files: dict[Path, str] = {
         root / ".bidsignore": "\n".join(_BIDSIGNORE_PATTERNS) + "\n",
@@ -190,17 +196,14 @@ def _written(files: Mapping[Path, str], synced: bool = True) -> list[Path]:
 
 
 def _task(folder: SessionFolder) -> dict[str, Json]:
-    """Describe the task for BIDS: its instructions, its question and the software that presented the stimuli."""
+    """Return BIDS's description of a study (task): instructions, question, and the software that presented stimuli."""
     study = cast("dict[str, Any]", folder.plan["study"])
     question = study["questions"][study["trial"]["question"]]
     return {
         "TaskName": folder.about["title"],
         "TaskDescription": question["text"],
         "Instructions": study["instructions"],
-        "StimulusPresentation": {
-            "SoftwareName": "hapticd",
-            "SoftwareVersion": folder.about["version"],
-        },
+        "StimulusPresentation": {"SoftwareName": "hapticd", "SoftwareVersion": folder.about["version"]},
     }
 
 
@@ -218,13 +221,13 @@ def check_one_study(root: Path, title: str) -> None:
 
 
 def other_version(root: Path, source: bytes) -> Path | None:
-    """Return the folder of a session whose study.yaml differs from `source`, or None if all are the same."""
+    """Return the folder of a session in a data set whose study.yaml differs from `source`, or None."""
     studies = root.glob(f"sub-*/ses-*/{STUDY_FILE_NAME}")
     return next((each.parent for each in studies if each.is_file() and each.read_bytes() != source), None)
 
 
 def table(columns: Sequence[str], rows: Sequence[Mapping[str, Json]]) -> str:
-    """Return a TSV text with a line of column names. A missing value is `n/a`."""
+    """Return a table as TSV (tab-separated values), after a line of column names. A missing value is `n/a`."""
     lines = ["\t".join(columns)]
     lines += ["\t".join(_cell(row.get(name)) for name in columns) for row in rows]
     return "\n".join(lines) + "\n"
@@ -244,7 +247,7 @@ def _cell(value: Json) -> str:
 
 
 def task_label(title: str) -> str:
-    """Return a title as BIDS allows it in file names: letters and digits, at most 40."""
+    """Return the label of a study in file names, made from its title: at most 40 letters and digits, as BIDS asks."""
     words = re.findall("[A-Za-z0-9]+", title)
     return "".join(word[0].upper() + word[1:] for word in words)[:40] or "Task"
 

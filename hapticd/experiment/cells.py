@@ -1,4 +1,4 @@
-"""The cells of a study: which sets of stimuli it presents, how often, and what answer is correct."""
+"""The cells of a study: which sets of stimuli it presents, how often, and which answer is correct."""
 
 from __future__ import annotations
 
@@ -6,52 +6,47 @@ from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement, product
 
-from hapticd.experiment.keys import (
-    POSITION_MEANINGS,
-    ChoiceQuestion,
-    ListedTrial,
-    RankingQuestion,
-    Study,
-)
+from hapticd.experiment.keys import POSITION_MEANINGS, ChoiceQuestion, ListedTrial, RankingQuestion, Study
 from hapticd.experiment.plain_values import Scalar
 from hapticd.experiment.stimuli import REFERENCE_NAME, TARGET_NAME, level_text, levels_text
 
 Levels = Mapping[str, Scalar]
+"""The levels of a stimulus, by factor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A cell of the study: trials whose stimuli differ only in the order of presentation."""
+    """A cell of a study: trials that have the same stimuli and differ only in the order of presentation."""
 
     condition: str
     name: str
     levels: tuple[Levels, ...]
-    """The levels of each stimulus. The target of a forced choice is the first. Listed stimuli are in the order of their
-    presentation."""
+    """The levels of each stimulus. In a forced choice the target comes first, unless the cell is listed: then the
+    stimuli are in the order of presentation."""
     count: int
-    """Number of trials in the test; for a procedure the largest possible number."""
+    """Number of trials in the test; for an adaptive procedure the largest possible number."""
     procedure: str | None = None
-    """Name of the run of an adaptive procedure, or None."""
+    """Name of the run of the adaptive procedure that chooses the level, or None."""
     correct: str | None = None
-    """The correct answer of a listed trial, if trial.list names one."""
+    """Name of the correct answer of a listed trial, if trial.list has it."""
     entry: int | None = None
     """Index in trial.list, or None if the cell comes from factors or a procedure."""
 
     @property
     def listed(self) -> bool:
-        """Whether the cell comes from trial.list, so that its stimuli are in the order of their presentation."""
+        """Whether the cell comes from trial.list. Its stimuli are in the order of presentation."""
         return self.entry is not None
 
 
 def cells_of(study: Study) -> list[Cell]:
-    """List all cells of the test, condition by condition, in the order of the study's file."""
+    """Return all cells of a study's test, condition by condition, in the order of the study's file."""
     return [cell for condition in study.conditions for cell in _cells(study, condition)]
 
 
 def crossed_stimuli(study: Study) -> list[Levels]:
     """Return the stimuli of `trial.cross`: every combination of the levels of its factors.
 
-    Without `cross` there is one stimulus, without levels.
+    A study without `cross` has one stimulus, without levels.
     """
     names = study.trial.cross or ()
     return [dict(zip(names, levels, strict=True)) for levels in product(*(study.factors[name].names for name in names))]
@@ -109,7 +104,7 @@ def _listed(study: Study, condition: str, trials: Sequence[ListedTrial]) -> Iter
 
 
 def levels_key(levels: Levels) -> Hashable:
-    """Return levels as a key of a mapping. The key contains the types of the levels, as True == 1 in Python."""
+    """Return a stimulus's levels as a key for mappings. It contains the type of each level, as True == 1 in Python."""
     return tuple([(name, type(level), level) for name, level in levels.items()])
 
 
@@ -128,7 +123,7 @@ def _adaptive(study: Study, condition: str, levels: Levels) -> Iterator[Cell]:
 
 
 def _in_factor_order(study: Study, levels: Levels) -> Levels:
-    """Sort levels in the order of the study's factors, so that equal stimuli have the same name."""
+    """Sort a stimulus's levels in the order of the study's factors. Equal stimuli then have equal names."""
     return {name: levels[name] for name in study.factors if name in levels}
 
 
@@ -137,21 +132,21 @@ def _name(stimuli: Sequence[Levels]) -> str:
 
 
 def stimulus_name(study: Study, cell: Cell, index: int) -> str:
-    """Return the name of a cell's stimulus: "target" or "reference" in a procedure, else its levels."""
+    """Return the name of a cell's stimulus: for a procedure "target" or "reference", else the stimulus's levels."""
     if cell.procedure is not None:
         return TARGET_NAME if index == 0 else REFERENCE_NAME
     return levels_text(cell.levels[index])
 
 
 def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None:
-    """Return the name of the correct answer if the stimuli of a cell are presented in this order.
+    """Return the name of the correct answer if the stimuli of a cell are presented in this order, or None.
 
-    `order` holds indices of `cell.levels`. In a paired comparison and a forced choice, the correct answer is the
-    position of the stimulus with the highest or lowest level, as the question asks; if it asks for neither, that of the
-    target of a forced choice. In an identification it is the level, in a ranking all positions in order.
+    `order` holds indices of `cell.levels`. If the question asks for the highest or lowest level, the answer that means
+    the position of that stimulus is correct, in a ranking all positions in order of level. Otherwise the answer that
+    means the target of a forced choice is correct. In an identification it is the answer that names the level.
 
-    Returns None if the study does not define a correct answer, if stimuli tie and no answer means `same`, and for a
-    listed forced choice whose target neither the trial nor the question defines.
+    Returns None if the study defines no correct answer. Stimuli with equal levels need an answer that means `same`, and
+    a listed forced choice needs `correct` or a question that asks.
     """
     if cell.correct is not None:
         return cell.correct
@@ -174,7 +169,7 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
         target_is_known = study.trial.type == "forced_choice" and not cell.listed and _target_differs(cell)
         return _meaning(question, order.index(0)) if target_is_known else None
     if cell.procedure is not None:
-        # The value of the variable is not known before the trial. The question asks for the target.
+        # The level of the target is chosen before each trial. The question asks for the target.
         return _meaning(question, order.index(0))
     ranks = _ranks(study, cell, order, asks.factor)
     best = max(ranks) if asks.which == "highest" else min(ranks)
@@ -184,7 +179,7 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
 
 
 def _target_differs(cell: Cell) -> bool:
-    """Return whether the target differs from the other stimuli."""
+    """Return whether the target of a forced choice differs from the other stimuli of its cell."""
     return cell.procedure is not None or cell.levels[0] != cell.levels[1]
 
 
@@ -193,9 +188,10 @@ def _meaning(question: ChoiceQuestion, position: int) -> str | None:
 
 
 def _ranks(study: Study, cell: Cell, order: Sequence[int], factor: str) -> list[float]:
-    """Return the rank of each stimulus by its level of a factor, in the order of presentation.
+    """Return a number for each stimulus, in the order of presentation, by which its level of `factor` is compared.
 
-    A number is its own rank, as a reference need not be a level of the factor. Texts rank in the factor's order.
+    A numeric level is this number itself, as a reference need not be a level of the factor. For other levels it is the
+    index in the factor's order.
     """
     levels = [cell.levels[index][factor] for index in order]
     if all(isinstance(level, int | float) and not isinstance(level, bool) for level in levels):

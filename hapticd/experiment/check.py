@@ -1,6 +1,6 @@
 """Check a study: stimuli that the device cannot display, duration of a session, trials of each cell, and power.
 
-Each stimulus is checked as `hapticd check` checks a configuration. No force is displayed.
+Each stimulus is checked like a configuration by `hapticd check`, without forces.
 """
 
 from __future__ import annotations
@@ -20,18 +20,10 @@ from hapticd.experiment.keys import ChoiceQuestion, ProportionEffect, RankingQue
 from hapticd.experiment.plan import Plan, plan
 from hapticd.experiment.power import Power, power_of_difference, power_of_proportion
 from hapticd.experiment.procedures.staircase import Staircase, StaircaseParameters
-from hapticd.experiment.stimuli import (
-    Stimulus,
-    config_with,
-    level_text,
-    levels_text,
-    place_of,
-    stimulus_of,
-    value_of,
-)
+from hapticd.experiment.stimuli import Stimulus, config_with, level_text, levels_text, place_of, stimulus_of, value_of
 
 _MAX_NAMED_STIMULI: Final = 6
-"""A problem names at most this many of its stimuli, so that its line stays readable."""
+"""A problem names at most this many of its stimuli: its line must stay readable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +37,7 @@ class CellCount:
 
 @dataclass(frozen=True, slots=True)
 class StudyReport:
-    """The result of `check_study`: problems with stimuli, duration, trials of each cell, and power."""
+    """The result of a check of a study: problems with stimuli, duration, trials of each cell, and power."""
 
     title: str
     device: str
@@ -53,26 +45,28 @@ class StudyReport:
     training_trials: int
     test_trials: int
     at_most: bool
-    """Whether the test may have fewer trials, because its procedures end by a criterion."""
+    """Whether fewer trials may be needed: a procedure can end by a criterion, and wrong answers can end the test."""
     cells: tuple[CellCount, ...]
     breaks: int
+    """Number of breaks."""
     minutes: float
-    """Duration of a session in minutes: the study's `expected_s` for each trial, plus the shortest allowed breaks."""
+    """Duration of a session in minutes: `expected_s` for each trial, plus the shortest duration of each break."""
     expected_s: float
+    """Expected duration of a trial in s, from the study."""
     correct: str | None
-    """The correct answer in words, or None if the study defines none."""
+    """Which answer is correct, in words, or None if the study defines no correct answer."""
     chance: float | None
-    """Probability of a correct answer by guessing, from analysis.chance, or None: no test against it."""
+    """Probability of a correct answer by guessing, or None if the answers are not tested against chance."""
     power: Power | None
     undisplayable: tuple[Problem, ...]
-    """Problems that the device has with stimuli, each once with the names of these stimuli."""
+    """Problems of the device with stimuli, each once, with the names of these stimuli."""
     to_look_at: tuple[Problem, ...]
-    """Warnings: names visible to participants that reveal levels or conditions, and staircases that cannot reach their
+    """Warnings of names that reveal levels or conditions to participants, and of staircases that cannot reach their
     hardest level."""
 
     @property
     def faults(self) -> int:
-        """Number of problems that the device has with the stimuli."""
+        """Number of problems of the device with the study's stimuli."""
         return len(self.undisplayable)
 
     def to_dict(self) -> dict[str, object]:
@@ -81,10 +75,10 @@ class StudyReport:
 
 
 def check_study(study: Study, rig: Config) -> StudyReport:
-    """Check a study for the device and servo of `rig`.
+    """Check a study with the device and servo of `rig`. Stimuli that cannot be displayed are in the result.
 
-    Raises HapticdError if the power needs scipy and it is not installed, or if the effect is a proportion and the study
-    has no analysis.chance. Stimuli that cannot be displayed are reported, and raise no error.
+    Raises HapticdError if the computation of the power needs scipy, which is not installed, or if the effect is a
+    proportion and the study has no analysis.chance.
     """
     sample, cells = plan(study, "", 1, study.order.seed), cells_of(study)
     phases = [trial.phase for trial in sample.trials]
@@ -112,7 +106,7 @@ def check_study(study: Study, rig: Config) -> StudyReport:
 
 
 def breaks_of(plan: Plan) -> int:
-    """Count the breaks of the test: every `breaks.every_trials` trials, and before each block but the first."""
+    """Count the breaks of a plan's test: one every `every_trials` trials, and with `between_blocks` between blocks."""
     breaks = plan.study.breaks
     test = [trial for trial in plan.trials if trial.phase == "test"]
     return sum(
@@ -123,7 +117,7 @@ def breaks_of(plan: Plan) -> int:
 
 
 def correct_words(study: Study) -> str:
-    """Return in words which answer is correct, for a study that defines it."""
+    """Return in words which answer is correct, for a study that defines correct answers."""
     question = study.asked
     if any(each.correct is not None for each in study.trial.list or ()):
         return "as trial.list defines"
@@ -160,7 +154,7 @@ def _power(study: Study, cells: int, trials: int) -> Power | None:
 
 
 def display_problems(study: Study, cells: Sequence[Cell], rig: Config) -> tuple[str, tuple[Problem, ...]]:
-    """Return the device of `rig`, and its problems with stimuli, each once with the names of these stimuli."""
+    """Return the device of `rig`, and its problems with stimuli, each once, with the names of these stimuli."""
     found: dict[tuple[str, str], list[str]] = {}
     device = ""
     for name, stimulus in _stimuli(study, cells):
@@ -179,9 +173,9 @@ def _names(names: Sequence[str]) -> str:
 
 
 def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulus]]:
-    """Yield each stimulus once, with its name, as if presented at the first place.
+    """Yield each stimulus of a study once, with its name, as if presented at the first place.
 
-    The stimuli of a procedure are its reference and the target at both ends of the procedure's range.
+    Of a procedure these are its reference, and its target at both ends of the range of levels.
     """
     seen: set[str] = set()
     known: set[Hashable] = set()
@@ -195,7 +189,7 @@ def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulu
             ends = [value_of(variable, level) for level in adaptive.ends]
             variants = [cell.levels[1], *({**cell.levels[0], variable.name: end} for end in ends)]
         for levels in variants:
-            # A long list repeats few levels. Their names are formatted once.
+            # A long trial.list repeats few levels, whose names are formatted once.
             same = cell.condition, levels_key(levels)
             if same in known:
                 continue
@@ -208,7 +202,7 @@ def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulu
 
 
 def _short_staircases(study: Study) -> Iterator[Problem]:
-    """Report staircases that do not reach their hardest level even if every answer is correct."""
+    """Yield a warning for each staircase that does not reach its hardest level even if every answer is correct."""
     for name, adaptive in (study.trial.procedures or {}).items():
         method = adaptive.method
         if not isinstance(method, StaircaseParameters):
@@ -228,7 +222,7 @@ def _short_staircases(study: Study) -> Iterator[Problem]:
 
 
 def _revealing_names(study: Study) -> Iterator[Problem]:
-    """Report names of levels and conditions that the participant sees as labels, or names of answers or objects."""
+    """Yield a warning for each label or name of an answer, or id of an object, that names a level or a condition."""
     hidden = {level_text(level).casefold() for factor in study.factors.values() for level in factor.names}
     hidden |= {name.casefold() for name in study.conditions}
     question = study.asked

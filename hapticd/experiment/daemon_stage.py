@@ -1,4 +1,4 @@
-"""The stage (renderer) for trials on a running daemon: it takes the lease, replaces scenes and records telemetry."""
+"""The stage (renderer) for trials on a running daemon: it holds the lease, replaces scenes and records telemetry."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from hapticd.protocol.results import Event
 from hapticd.recording.recording import load
 
 RUNNER_LEASE_S: Final = 3.0
-"""Duration of the runner's lease (right to use forces). They fade out this long after the runner hangs or dies."""
+"""Duration of the lease, the right to use forces. Forces fade when it lapses because the process hangs or died."""
 TELEMETRY_LAG_TIMEOUT_S: Final = 20.0
-"""Longest wait for the telemetry of a trial after its end. If it takes longer, the machine is too busy."""
+"""Longest wait for the telemetry of a trial after its end. A machine that takes longer is too busy to record."""
 FADE_TIMEOUT_S: Final = 5.0
-"""The force must be zero within this time after it was switched off."""
+"""The force must be zero within this time after the forces were switched off."""
 _LEASE_GRACE_S: Final = 1.0
-"""Another client's lease is awaited for the duration of a lease plus this time."""
+"""The stage waits for the end of another client's lease for RUNNER_LEASE_S plus this time."""
 _LEASE_RETRY_S: Final = 0.1
-"""Time between two attempts to take another client's lease. The daemon does not report when a lease lapses."""
+"""Time between two attempts to get the lease from another client. The daemon does not report when a lease lapses."""
 _DESCRIBED_STATUS_KEYS: Final = ("version", "protocol", "started_ns", "device", "rate_hz", "realtime", "undisplayable")
 """Keys of the daemon's status that are stored with the session."""
 _SAMPLE_BATCH_S: Final = 0.02
@@ -57,7 +57,7 @@ class DaemonStage:
         self._file: Path | None = None
 
     def __enter__(self) -> Self:
-        # Off before the lease is taken, so that the participant does not feel the previous scene.
+        # Forces are off before the lease is held, so that the participant does not feel the previous scene.
         self._client.set_forces(False)
         deadline = time.monotonic() + RUNNER_LEASE_S + _LEASE_GRACE_S
         while True:
@@ -65,7 +65,7 @@ class DaemonStage:
                 self._token = self._held.__enter__()
                 return self
             except RemoteError as error:
-                # The lease of a killed runner lapses within this deadline. That of a running one does not.
+                # A killed process's lease lapses before the deadline. A running process renews its lease.
                 if error.code != Code.LEASE_HELD or time.monotonic() >= deadline:
                     raise
             self._held = self._client.hold_lease(RUNNER_LEASE_S)
@@ -85,7 +85,11 @@ class DaemonStage:
         }
 
     def check(self) -> None:
-        """Raise an error if the forces are off, as `Stage.check`. Raises DaemonNotRunning if the daemon has ended."""
+        """Check that a fault or another client has not switched the forces off.
+
+        Raises ForcesLost after a fault, ForcesStopped if another client switched the forces off after `enable`, and
+        DaemonNotRunning if the daemon has ended.
+        """
         status = self._client.get_status()
         if status["faults"]:
             faults = ", ".join(status["faults"])
@@ -96,10 +100,7 @@ class DaemonStage:
             raise ForcesStopped("another client switched the forces off")
 
     def arm(self, config: Config) -> None:
-        """Switch the forces off and replace the scene, as `Stage.arm`.
-
-        Uses the daemon's methods `apply` (scene and materials) and `reset` (membranes).
-        """
+        """Switch the forces off, replace scene and materials, and restore ruptured membranes."""
         self.fade()
         known = shipped_materials()
         materials = {
@@ -107,14 +108,13 @@ class DaemonStage:
             for name, material in config.materials.items()
             if name not in known or material != known[name]
         }
-        # A scene that only uses shipped materials is a change, too.
         changed = self._client.apply(materials=materials or None, scene=config.scene, wait=True)
         self._client.reset()
         self._revision = changed["revision"]
         self._membranes = membranes(config)
 
     def is_clear(self) -> bool:
-        """Return whether the handle is clear of the scene, by the newest sample; see `Stage.is_clear`."""
+        """Return whether the handle is outside every object and in front of every membrane, by the newest state."""
         state = self._client.get_state()
         x, y = state["position_m"]
         from_membranes = [each.from_surface((x, y)) for each in self._membranes]
@@ -123,8 +123,7 @@ class DaemonStage:
     def enable(self) -> None:
         """Switch the forces on.
 
-        Raises HapticdError if another client changed the scene since `arm`, the lease lapsed, or a fault is
-        still latched.
+        Raises HapticdError if another client changed the scene since `arm`, the lease lapsed, or a fault persists.
         """
         revision = self._client.get_status()["revision"]
         if revision != self._revision:
@@ -132,7 +131,7 @@ class DaemonStage:
                 f"another client changed the scene (revision is {revision}, must be {self._revision}); "
                 "disconnect other clients from the daemon, and resume"
             )
-        # Renewing raises if the lease lapsed while the forces were off. Without a lease they would outlast the runner.
+        # This raises if the lease lapsed meanwhile. Without a lease the forces would stay on if this process died.
         self._client.lease(RUNNER_LEASE_S, self._token)
         self._client.reset()  # the handle may have gone through a membrane while the forces were off
         self._client.set_forces(True)
@@ -141,7 +140,7 @@ class DaemonStage:
     def fade(self) -> None:
         """Switch the forces off, and return when the commanded force is zero.
 
-        Raises HapticdError if this takes too long.
+        Raises HapticdError if the force is not zero after FADE_TIMEOUT_S.
         """
         self._enabled = False
         self._client.set_forces(False)
@@ -151,13 +150,13 @@ class DaemonStage:
                 if not state["flags"] & Flag.FORCES_ON and state["force_n"] == [0.0, 0.0]:
                     return
         raise HapticdError(
-            f"the force is not zero {FADE_TIMEOUT_S:g} s after it was switched off; stop the device by hand"
+            f"the force is not zero {FADE_TIMEOUT_S:g} s after the forces were switched off; switch the device off"
         )
 
     def mark(self, text: str, data: Json) -> None:
         """Add a mark, a text with data, to the daemon's event stream.
 
-        Every client can read it, so it must not name a stimulus.
+        Every client can read marks, so a mark must not name a stimulus.
         """
         self._client.mark(text, data)
 
@@ -184,8 +183,8 @@ class DaemonStage:
     def move(self, motion: Motion) -> Samples:
         """Move the simulated joystick's hand in real time, and return the samples from the first tick to the last.
 
-        If the motion has a reaction, the hand leaves its path at the time that the reaction returns, or at the first
-        batch of samples after it.
+        If the motion has a reaction, the hand leaves its path at the time of the reaction, or with the first batch of
+        samples after that time.
         """
         with self._client.samples() as batches:
             started = self._client.set_operator(motion.waypoints)
@@ -211,22 +210,21 @@ class DaemonStage:
         return np.concatenate(taken)
 
     def telemetry(self) -> Telemetry:
-        """Return the telemetry of the last interval of the trial, read from its file."""
+        """Return the telemetry of the last interval of the last recorded trial, read from the trial's .npz file."""
         if self._file is None:
             raise HapticdError("no trial has been recorded yet")
         found = load(self._file)
         begun = [mark["tick"] for mark in found.marks if mark["text"] == EventCode.INTERVAL.text]
         ended = [mark["tick"] for mark in found.marks if mark["text"] == EventCode.ANSWER.text]
-        ticks = found.samples["tick"]
-        inside = ticks >= (begun[-1] if begun else 0)
+        ticks, first = found.samples["tick"], begun[-1] if begun else 0
+        inside = ticks >= first
         if ended:
             inside &= ticks <= ended[-1]
-        first = begun[-1] if begun else 0
         return Telemetry(found.samples[inside], [each for each in found.events if each["tick"] >= first])
 
 
 def _sample_arrays(batches: Subscription[SampleBatch], first: int) -> Iterator[Samples]:
-    """Yield the samples from tick `first` onwards, one plain array per batch, skipping empty batches."""
+    """Yield the samples from tick `first` on, one plain array per batch. Batches without such samples are skipped."""
     for batch in batches:
         samples = np.asarray(batch.view(np.ndarray))[batch["tick"] >= first].astype(SAMPLE_DTYPE, copy=False)
         if len(samples):

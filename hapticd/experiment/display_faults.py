@@ -1,4 +1,4 @@
-"""Invalid configurations of the stimuli of a study, each reported at the key of the study that causes it."""
+"""Faults in the configurations of a study's stimuli, each with the path of the key of the study that causes it."""
 
 from __future__ import annotations
 
@@ -14,22 +14,14 @@ from hapticd.experiment.faults import Fault
 from hapticd.experiment.key_paths import path_of, with_patch
 from hapticd.experiment.keys import Adaptive, Study, Variable
 from hapticd.experiment.plain_values import Scalar
-from hapticd.experiment.stimuli import (
-    config_faults,
-    document_of,
-    level_text,
-    levels_text,
-    place_of,
-    placed,
-    value_of,
-)
+from hapticd.experiment.stimuli import config_faults, document_of, level_text, levels_text, place_of, placed, value_of
 
 _MAX_FAULTS: Final = 50
-"""The search ends when this many faults were found."""
+"""The search for faults ends after the cell in which this number is reached, to bound its time."""
 
 
 def display_faults(study: Study) -> list[Fault]:
-    """Return the faults of a study's base configuration, conditions and levels, and of combinations of these."""
+    """Return the faults in the configurations of a study: of the base, of its conditions, or of the stimuli."""
     base = [(("base", *path), text) for path, text in config_faults(study.base)]
     if base:
         return base
@@ -86,9 +78,9 @@ def _faults(make: Callable[[], dict[str, Json]]) -> list[Fault]:
 
 
 def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place: str | None) -> list[Fault]:
-    """Return the faults of a stimulus's configuration.
+    """Return the faults in the configuration of a stimulus.
 
-    They are reported at the level that alone causes faults, or else at trial.cross or trial.list.
+    Their path is that of the level that alone causes faults, or else trial.cross or trial.list.
     """
     found = _faults(partial(document_of, study, condition, levels, place))
     if not found:
@@ -102,7 +94,7 @@ def _stimulus(study: Study, condition: str, levels: Mapping[str, Scalar], place:
 
 
 def _level_path(study: Study, name: str, level: Scalar, text: str) -> Path:
-    """Return the path of a level in the study, or that of the factor's `at` if `at` names an unknown key."""
+    """Return the path of a level in a study, or of its factor's `at` if the fault `text` is an unknown key."""
     factor = study.factors[name]
     if factor.at is not None and text.startswith(UNKNOWN_KEY):
         return ("factors", name, "at")
@@ -119,7 +111,7 @@ def _sentence(path: Path, text: str) -> str:
 
 
 def _adaptive(study: Study, cell: Cell, adaptive: Adaptive) -> Iterator[Fault]:
-    """Report faults of a procedure's stimuli: the reference, both ends of its range, and the practice level."""
+    """Yield the faults in stimuli of a procedure: its reference, the ends of its range, and its practice level."""
     assert cell.procedure is not None
     where: Path = ("trial", "procedures", cell.procedure.partition(".")[0])
     variable = adaptive.variable

@@ -1,4 +1,4 @@
-"""Event codes: numbers by which other programs follow a session. They do not reveal the stimuli."""
+"""Event codes: numbers that report the events of a session to other programs. They do not reveal the stimuli."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Final
 
 
 class EventCode(IntEnum):
-    """An event code from 1 to 255, which fits a trigger line of eight bits.
+    """A code of an event, from 1 to 255: it fits a trigger port of eight bits.
 
-    Codes below 100 are sent by the session as marks, with `text` as the mark's text and the number as `code` in its
-    data. Codes above 100 stand for events of the daemon, for which the session sends no mark.
+    The session sends codes below 100 as marks. The text of a mark is `text`, its data has the number as `code`. Codes
+    above 100 stand for the daemon's own events.
     """
 
     SESSION_BEGIN = 1, "the participant has read the instructions; the first trial follows"
@@ -25,7 +25,7 @@ class EventCode(IntEnum):
     TRIAL_END = 14, "the answer is on disk"
     TRIAL_GIVEN_UP = 15, "the attempt does not count; the trial begins again"
     BREAK_BEGIN = 20, "a break of the study"
-    BREAK_END = 21, "the participant ended the break"
+    BREAK_END = 21, "the participant or the experimenter ended the break"
     PAUSE_BEGIN = 30, "the experimenter paused the session"
     PAUSE_END = 31, "the experimenter continued the session"
     CONTACT = 101, "an object was touched"
@@ -36,7 +36,7 @@ class EventCode(IntEnum):
     meaning: str
 
     def __new__(cls, number: int, meaning: str) -> EventCode:
-        """Make a code of a number and its meaning."""
+        """Make an event code from its number and its meaning."""
         made = int.__new__(cls, number)
         made._value_ = number
         made.meaning = meaning
@@ -44,12 +44,12 @@ class EventCode(IntEnum):
 
     @property
     def text(self) -> str:
-        """The text of the mark, or the name of the daemon's event."""
+        """Text of the mark that carries the code, or name of the daemon's event."""
         return self.name.lower()
 
 
 TRIAL_NUMBER_OFFSET: Final = 1000
-"""In a stream of plain numbers, this offset plus the index of the trial follows TRIAL_ARMED, to identify the trial."""
+"""In a stream of plain numbers, the code TRIAL_ARMED is followed by this number plus the index of the trial."""
 
 _CODES_OF_MARKS: Final = {int(code): code for code in EventCode if code < 100}
 _CODES_OF_EVENTS: Final = {code.text: code for code in EventCode if code > 100}
@@ -58,7 +58,7 @@ _CODES_OF_EVENTS: Final = {code.text: code for code in EventCode if code > 100}
 def code_of(event: Mapping[str, object]) -> EventCode | None:
     """Return the event code of an event of the daemon, or None.
 
-    Marks of other clients have no code, even with the text of a session's mark.
+    A mark has a code only if its text and the `code` in its data belong together.
     """
     if event.get("event") != "mark":
         return _CODES_OF_EVENTS.get(str(event.get("event")))

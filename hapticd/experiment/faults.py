@@ -26,7 +26,7 @@ from hapticd.experiment.published import published_faults
 from hapticd.experiment.stimuli import PLACE_PLACEHOLDER, level_text
 
 Fault: TypeAlias = tuple[Path, str]
-"""The path of a key of the study, and what is wrong with it."""
+"""The path of a key of the study, and a text on what is wrong with the key."""
 
 _QUESTION_KINDS: Final[dict[TrialType, tuple[str, ...]]] = {
     "paired_comparison": ("choice",),
@@ -38,21 +38,18 @@ _QUESTION_KINDS: Final[dict[TrialType, tuple[str, ...]]] = {
 }
 """Kinds of questions that each type of trial allows."""
 _COMPARING_TRIAL_TYPES: Final = ("paired_comparison", "forced_choice", "ranking")
-"""Types of trials whose stimuli are compared with each other."""
+"""Types of trials in which stimuli are compared with each other."""
 _STUDY_SECTIONS: Final = ("scene", "materials")
 """Sections of a configuration that a study may change."""
 
 
 def faults_between(study: Study) -> list[Fault]:
-    """Return all conflicts between the keys of a study.
-
-    Invalid configurations of stimuli are found by display_faults.
-    """
+    """Return all conflicts between the keys of a study. `display_faults` finds invalid configurations of stimuli."""
     parts: tuple[Callable[[Study], Iterator[Fault]], ...] = (
         _base, _factors, _questions, _trial, _presentation, _references, _procedures, _order, _session_faults,
     )  # fmt: skip
     found = [fault for part in parts for fault in part(study)]
-    # Cells can only be made if every factor and level that they name exists.
+    # The cells can only be made if every factor and level exists that the study names.
     return found or list(_cells(study))
 
 
@@ -68,7 +65,7 @@ def _base(study: Study) -> Iterator[Fault]:
 def _sections(patch: Mapping[str, object], path: Path) -> Iterator[Fault]:
     for key in patch:
         if key in ("servo", "device", "flight"):
-            yield (*path, key), "belongs to the daemon; a study may only have scene and materials"
+            yield (*path, key), "belongs to the daemon's configuration; a study may only have scene and materials"
         elif key not in _STUDY_SECTIONS:
             yield (*path, key), f"unknown key; {known_names(key, _STUDY_SECTIONS)}"
 
@@ -90,7 +87,7 @@ def _factors(study: Study) -> Iterator[Fault]:
                     f"needs {PLACE_PLACEHOLDER}: stimuli side by side would all change the same keys",
                 )
     used = _used_factors(study)
-    # An unknown name in cross is probably a misspelt factor, which is reported elsewhere.
+    # An unknown name in cross is probably a misspelt factor, which _trial reports.
     for name in study.factors if used <= set(study.factors) else ():
         if name not in used:
             yield (
@@ -262,7 +259,7 @@ def _identification_faults(study: Study, question: ChoiceQuestion) -> Iterator[F
 
 
 _Known: TypeAlias = Mapping[str, Mapping[str, None]]
-"""The levels of each factor as texts, in their order."""
+"""The levels of each factor as texts, in the order of the study."""
 
 
 def _known(study: Study) -> _Known:
@@ -292,7 +289,7 @@ def _listed(study: Study, listed: ListedTrial, known: _Known, where: Path) -> It
 def _levels(
     study: Study, levels: Mapping[str, Scalar], known: _Known, where: Path, any_number: bool = False
 ) -> Iterator[Fault]:
-    """Check the level of each factor. With `any_number`, any number is allowed for a numeric factor."""
+    """Yield the faults of a stimulus's levels. With `any_number`, every number is a level of a numeric factor."""
     for name, level in levels.items():
         factor = study.factors.get(name)
         if factor is None:
@@ -370,10 +367,7 @@ def _order(study: Study) -> Iterator[Fault]:
     if order.by == "procedure" and study.trial.procedures is None:
         yield ("order", "by"), "is procedure, but trial has no procedures"
     if order.by in ("repetition", "cell") and study.trial.procedures is not None:
-        yield (
-            ("order", "by"),
-            f"must be condition or procedure for a study with procedures, is {order.by}",
-        )
+        yield ("order", "by"), f"must be condition or procedure for a study with procedures, is {order.by}"
     if order.kind == "latin_square" and order.by in (None, "condition") and len(study.conditions) < 2:
         yield ("order", "kind"), "a Latin square needs two blocks or more, and the study has one condition"
 
@@ -414,14 +408,14 @@ def _session_faults(study: Study) -> Iterator[Fault]:
 
 
 def _has_membrane(study: Study) -> bool:
-    """Return whether the base scene, a condition or a variant has a membrane."""
+    """Return whether the base scene of a study, a condition or a variant has a membrane."""
     changes = [condition.changes for condition in study.conditions.values()]
     variants = [variant for factor in study.factors.values() for variant in (factor.variants or {}).values()]
     return any("'membrane'" in str(each.get("scene")) for each in (study.base, *changes, *variants))
 
 
 def _judged(study: Study, question: Question) -> bool:
-    """Return whether the study defines correct answers."""
+    """Return whether a study defines which answers are correct."""
     if isinstance(question, ChoiceQuestion | RankingQuestion) and question.asks is not None:
         return True
     listed = any(each.correct is not None for each in study.trial.list or ())
@@ -458,7 +452,7 @@ def _cells(study: Study) -> Iterator[Fault]:
 
 
 def _without_correct(study: Study, cells: Sequence[Cell]) -> Iterator[Fault]:
-    """Report trials of a forced choice without a correct answer."""
+    """Yield a fault for each trial of a forced choice that has no correct answer."""
     question = study.asked
     if study.trial.type != "forced_choice" or not isinstance(question, ChoiceQuestion):
         return

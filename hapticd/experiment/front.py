@@ -1,6 +1,6 @@
-"""The interface of a front: it shows trials to participant and experimenter, and returns replies to the runner.
+"""The interface of a front (user interface), which shows trials to participant and experimenter and returns replies.
 
-The participant's part receives only `Shown`. It contains surfaces and answers, but no name of a stimulus, a material, a
+What the participant sees comes from `Shown`, which has surfaces and answers, but no name of a stimulus, a material, a
 factor or a condition.
 """
 
@@ -14,14 +14,18 @@ from hapticd.base.yaml_source import Json
 from hapticd.experiment.stage import Stage
 
 CLEARANCE_POLL_S: Final = 0.05
-"""Time between two checks whether the handle is clear of every object."""
+"""Time between two checks whether the handle is out of every object (`Stage.is_clear`)."""
+STAGE_CHECK_INTERVAL_S: Final = 0.5
+"""Time between two checks that the forces are still on (`Stage.check`), while a front waits for the participant."""
 CommandKind: TypeAlias = Literal["pause", "repeat", "abort", "note"]
+COMMAND_KINDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
+"""Commands that the experimenter can give."""
 QuestionKind: TypeAlias = Literal["choice", "ranking", "slider", "number", "text", "measure"]
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A surface as the participant sees it: a line segment through a point, and its normal."""
+    """A surface as the participant sees it: a line segment around its middle `point_m`, and its unit normal."""
 
     point_m: tuple[float, float]
     normal: tuple[float, float]
@@ -29,9 +33,9 @@ class Seen:
     """Half the length of the surface, m."""
 
     def from_surface(self, position_m: tuple[float, float]) -> tuple[float, float]:
-        """Return how far a position is beyond the nearer end of the surface, and how far above the surface, in m.
+        """Return the distance of a position beyond the nearer end of the surface, and its height above it, both in m.
 
-        The distance beyond the end is at least 0. The height is negative behind the surface.
+        The distance is 0 between the ends. The height is negative behind the surface.
         """
         (x, y), (p_x, p_y), (n_x, n_y) = position_m, self.point_m, self.normal
         along = (x - p_x) * n_y - (y - p_y) * n_x
@@ -46,7 +50,7 @@ class Choice:
     label: str
     key: str | None
     means: str | None
-    """Position of the stimulus that the answer means: first, second, ..., or same; None for other questions."""
+    """Position of the stimulus that the answer names (first, second, ...), or same. None for other questions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +62,7 @@ class Shown:
     total: int
     """Number of trials in the session."""
     at_most: bool
-    """Whether the session may end before `total` trials: by the criterion of a procedure, or by a stop rule."""
+    """Whether fewer trials may be needed: a procedure can end by a criterion, and wrong answers can end the test."""
     phase: str
     stimuli: int
     """Number of stimuli."""
@@ -104,8 +108,8 @@ class Watched:
 class Reply:
     """A reply of the participant.
 
-    `answer` is the name of an answer, positions in order, a number or a text; None if the motion itself is the answer,
-    or the time limit passed.
+    `answer` is the name of an answer, a ranking such as second>first, a number or a text. It is None if the motion
+    itself is the answer, or if the time limit passed.
     """
 
     answer: str | float | None
@@ -123,17 +127,17 @@ class Command:
 class Front(Protocol):
     """The user interface of participant and experimenter.
 
-    A method that returns a Command was interrupted by this command of the experimenter; else it returns None.
+    A method that is interrupted by a command returns the Command. Otherwise it returns None, or a Reply (`ask`).
     """
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
-        """Show title and instructions before the first trial of a run, and return when the participant begins.
+        """Show title and instructions before the first trial of a run, and return when the session may begin.
 
         `done` of `total` trials are already done. With `at_most`, fewer than `total` may be needed.
         """
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
-        """Show the instructions of practice, training or test, and return when the participant begins this phase."""
+        """Show the instructions of a phase (practice, training or test), and return when the phase may begin."""
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
         """Show a trial whose scene is loaded, and return when its forces may be switched on."""
@@ -141,11 +145,11 @@ class Front(Protocol):
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
         """Ask the participant to withdraw the handle from the objects of an interval, counted from 1.
 
-        Returns when `stage.is_clear()`, which is polled every CLEARANCE_POLL_S.
+        Returns when `stage.is_clear()` is true.
         """
 
     def may_enable(self) -> Command | None:
-        """Return a command that forbids the forces, or None. Called just before and just after they are switched on."""
+        """Return a command that forbids the forces, or None. Called just before and just after `stage.enable`."""
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
         """Present an interval that is not the last, counted from 1, and return when the participant ends it."""
@@ -160,22 +164,19 @@ class Front(Protocol):
         """
 
     def not_done(self, trial: int, why: str) -> None:
-        """Report to participant and experimenter that a motor task was not done and begins again.
-
-        `trial` counts from 1.
-        """
+        """Show participant and experimenter why a motor task was not done. Trial `trial`, from 1, begins again."""
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        """Report an answer that was saved on disk.
+        """Show the experimenter an answer that is saved on disk.
 
-        `response_s` is the time from the onset of the last interval, in s.
+        `response_s` is the time in s from the onset of the last interval to the answer.
         """
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """Show a break that lasts at least `least_s` more seconds. Return when the participant continues."""
+        """Show a break, and return when the session is continued, at least `least_s` seconds later."""
 
     def paused(self) -> Command | None:
         """Show that the session is paused, and return when the experimenter continues."""
 
-    def tell(self, line: str) -> None:
+    def show_line(self, line: str) -> None:
         """Show one line to the experimenter."""

@@ -1,6 +1,6 @@
-"""Changes of a configuration as plain data, by the paths of its keys, e.g. `materials.wood.tap.frequency_hz`.
+"""Changes of a configuration (plain data) at paths of keys, such as `materials.wood.tap.frequency_hz`.
 
-If one key of a shipped material is changed, its other keys keep the shipped values. `materials.left: wood` gives the
+If a key of a shipped material is changed, its other keys keep the shipped values. `materials.left: wood` gives the
 material `left` all keys of `wood`.
 """
 
@@ -17,7 +17,7 @@ from hapticd.base.yaml_source import Json
 from hapticd.config.materials import shipped_materials
 
 _PATH_ELEMENT: Final = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,5}\])*)")
-"""A key with any number of indices behind it, such as patches[0]."""
+"""A key that may be followed by indices, such as patches[0]."""
 
 
 def path_of(text: str) -> Path:
@@ -29,7 +29,7 @@ def path_of(text: str) -> Path:
     for part in text.split("."):
         match = _PATH_ELEMENT.fullmatch(part)
         if match is None:
-            raise ValueError("must be keys separated by dots, as materials.wood.tap.frequency_hz")
+            raise ValueError("must be keys separated by dots, such as materials.wood.tap.frequency_hz")
         found += [match[1], *(int(index) for index in re.findall(r"[0-9]+", match[2]))]
     return tuple(found)
 
@@ -41,9 +41,9 @@ def _shipped() -> dict[str, Json]:
 
 
 def expanded(document: Mapping[str, Json]) -> dict[str, Json]:
-    """Return a configuration in which each material that is given as the name of another has the other's keys.
+    """Return a configuration with materials expanded: `left: wood` is replaced by `left` with all keys of `wood`.
 
-    Raises InvalidError at materials.NAME for a name that is neither in the configuration nor shipped.
+    Raises InvalidError at materials.left if `wood` is neither a material of the configuration nor a shipped one.
     """
     materials = document.get("materials")
     if not isinstance(materials, dict) or not any(isinstance(value, str) for value in materials.values()):
@@ -66,7 +66,10 @@ def expanded(document: Mapping[str, Json]) -> dict[str, Json]:
 
 
 def with_patch(document: Mapping[str, Json], patch: Mapping[str, Json]) -> dict[str, Json]:
-    """Apply a merge patch (RFC 7396) to a configuration. Raises InvalidError as `expanded` does."""
+    """Apply a merge patch (RFC 7396) to a configuration, and return the result with materials expanded.
+
+    Raises InvalidError for an unknown material.
+    """
     changed = patch.get("materials")
     if isinstance(changed, dict):
         document = _with_shipped(document, (name for name, value in changed.items() if isinstance(value, dict)))
@@ -78,8 +81,8 @@ def with_patch(document: Mapping[str, Json], patch: Mapping[str, Json]) -> dict[
 def with_value(document: Mapping[str, Json], path: Path, value: Json, *, make: bool = False) -> dict[str, Json]:
     """Return a configuration in which the key at `path` has the value `value`.
 
-    With `make`, missing mappings along the path are created; their other keys have defaults. Raises InvalidError at the
-    path if it does not exist.
+    With `make`, missing mappings along the path are created. Raises InvalidError for an unknown key in the path, or an
+    unknown material.
     """
     if path[0] == "materials" and len(path) > 2:
         document = _with_shipped(document, (str(path[1]),))
@@ -89,7 +92,7 @@ def with_value(document: Mapping[str, Json], path: Path, value: Json, *, make: b
 
 
 def _with_shipped(document: Mapping[str, Json], names: Iterable[str]) -> Mapping[str, Json]:
-    """Return a configuration that contains the keys of the shipped materials of these names."""
+    """Return a configuration to which the shipped materials of these names are added, unless it has them."""
     own = document.get("materials")
     own = own if isinstance(own, dict) else {}
     shipped = _shipped()
@@ -100,7 +103,7 @@ def _with_shipped(document: Mapping[str, Json], names: Iterable[str]) -> Mapping
 
 
 def _set(node: Json, path: Path, depth: int, value: Json, make: bool) -> Json:
-    """Return a copy of `node` with `value` at `path`. Only the nodes along the path are copied."""
+    """Return a copy of `node`, plain data at `path[:depth]`, with `value` at `path`. Other branches are shared."""
     if depth == len(path):
         return value
     key = path[depth]

@@ -1,7 +1,4 @@
-"""The keys of a study's YAML file, each with its range.
-
-hapticd.experiment.faults finds conflicts between keys.
-"""
+"""The keys of a study's YAML file, each with its range. hapticd.experiment.faults finds conflicts between keys."""
 
 from __future__ import annotations
 
@@ -10,6 +7,7 @@ from typing import Annotated, Final, Literal, TypeAlias
 from pydantic import BeforeValidator, Field, Strict, StringConstraints
 
 from hapticd.base.model import CheckedTogether, Model, Name, one_of_two
+from hapticd.experiment.order import OrderKind
 from hapticd.experiment.plain_values import PlainMapping, PlainScalar, Scalar
 from hapticd.experiment.procedures.constant_stimuli import ConstantStimuliParameters
 from hapticd.experiment.procedures.quest_plus import QuestPlusParameters
@@ -25,13 +23,13 @@ Meaning: TypeAlias = Literal["first", "second", "third", "fourth", "fifth", "six
 POSITION_MEANINGS: Final[tuple[Meaning, ...]] = (
     "first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth",
 )  # fmt: skip
-"""Meanings of answers that name a stimulus by its position in the order of presentation."""
+"""Positions in the order of presentation, by which answers and rankings name stimuli."""
 NAMED_KEYS: Final = ("left", "right", "up", "down", "space", "enter")
-"""Keyboard keys that can choose an answer, besides single characters. Escape is the stop key instead."""
+"""Names of keyboard keys that can choose an answer, besides single characters. Escape stops the forces instead."""
 MAX_TRIALS: Final = 100_000
 """Largest number of trials in a session."""
 MAX_STIMULI_PER_TRIAL: Final = len(POSITION_MEANINGS)
-"""Largest number of stimuli in a trial. Each position needs a meaning."""
+"""Largest number of stimuli in a trial: an answer can name no other position."""
 MAX_FACTOR_LEVELS: Final = 10_000
 """Largest number of levels of a factor."""
 
@@ -73,7 +71,7 @@ class Factor(CheckedTogether):
     )
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between the keys `levels`, `variants` and `at` of a factor."""
+        """Return the conflicts between the keys `levels`, `variants` and `at` of a factor."""
         faults = one_of_two(self, "levels", "variants")
         if self.variants is not None and self.at is not None:
             faults.append("at is only valid with levels; variants name the keys that they change")
@@ -83,7 +81,7 @@ class Factor(CheckedTogether):
 
     @property
     def names(self) -> tuple[Scalar, ...]:
-        """The levels, or the names of the variants, in their order."""
+        """The levels of the factor, or the names of its variants, in the order of the study."""
         return tuple(self.variants or ()) if self.levels is None else self.levels
 
 
@@ -135,7 +133,7 @@ class ChoiceQuestion(_QuestionKeys):
 
 
 class RankingQuestion(_QuestionKeys):
-    """A question for an order of the stimuli. The answer lists positions of presentation, as second>first>third."""
+    """A question for a ranking of the stimuli. The answer names their positions, such as second>first>third."""
 
     kind: Literal["ranking"] = Field(description="Which kind of question this is.")
     asks: Asked | None = Field(default=None, description="Which stimulus comes first in the correct order.")
@@ -153,7 +151,7 @@ class SliderQuestion(CheckedTogether):
     high_label: Label | None = Field(default=None, description="Label of the right end.")
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between the keys `low`, `high` and `step` of a slider."""
+        """Return the conflicts between the keys `low`, `high` and `step` of a slider."""
         faults = _rising(self.low, self.high)
         if not faults and self.step is not None and self.step > self.high - self.low:
             faults.append(f"step must be at most high minus low, {self.high - self.low:g}, is {self.step:g}")
@@ -169,7 +167,7 @@ class NumberQuestion(CheckedTogether):
     high: float = Field(default=1e6, ge=-1e9, le=1e9, description="Largest number that is accepted.")
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between the keys `low` and `high`, the limits of the number."""
+        """Return the conflict between the keys `low` and `high`, the limits of the number, if there is one."""
         return _rising(self.low, self.high)
 
 
@@ -198,7 +196,7 @@ Method: TypeAlias = StaircaseParameters | QuestPlusParameters | ConstantStimuliP
 
 
 class Variable(Model):
-    """The key that an adaptive procedure varies."""
+    """The quantity that an adaptive procedure varies: one or more keys of the configuration."""
 
     name: Name = Field(description="Name in the data.")
     at: KeyPaths = Field(description="The keys that take the variable's value, as `at` of a factor.")
@@ -211,7 +209,7 @@ class Variable(Model):
 
 
 class Adaptive(Model):
-    """An adaptive procedure: the next level follows from the answers before it."""
+    """A procedure that chooses the level of each trial: a staircase, QUEST+ or constant stimuli."""
 
     variable: Variable = Field(description="What the procedure varies.")
     method: Annotated[Method, Field(discriminator="kind")] = Field(description="The procedure and its parameters.")
@@ -221,7 +219,7 @@ class Adaptive(Model):
 
     @property
     def trials(self) -> int:
-        """The largest number of trials of one run of the procedure."""
+        """Largest number of trials in a run of the procedure."""
         method = self.method
         if isinstance(method, ConstantStimuliParameters):
             return len(method.levels) * method.repetitions
@@ -286,7 +284,7 @@ class TrialDesign(Model):
 class StudyOrder(Model):
     """The order of the trials of the test."""
 
-    kind: Literal["random", "blocked", "latin_square", "listed"] = Field(
+    kind: OrderKind = Field(
         default="random",
         description="All trials mixed, blocks in random order, blocks by a Latin square over the participants, or the "
         "order of the file.",
@@ -410,18 +408,19 @@ class Study(Model):
         return self.questions[self.trial.question]
 
     def adaptive(self, procedure: str) -> Adaptive:
-        """Return the adaptive procedure of a run, a sequence of trials with one state, by the run's name.
+        """Return the adaptive procedure of the run with the name `procedure`.
 
-        The name is e.g. `rising`, or `rising.CONDITION.CELL` if each condition and cell has a separate run.
+        In a run, a procedure has one state. The name of a run is e.g. `rising`, or `rising.CONDITION.CELL` if each
+        condition and cell has a separate run.
         """
         assert self.trial.procedures is not None
         return self.trial.procedures[procedure.partition(".")[0]]
 
     @property
     def may_end_early(self) -> bool:
-        """Whether a session may need fewer trials than planned.
+        """Whether fewer trials than planned may be needed.
 
-        Procedures end by a criterion, and a number of successive wrong answers may end the test.
+        A procedure can end by a criterion, and a number of successive wrong answers can end the test.
         """
         return self.trial.procedures is not None or self.stop.wrong_in_a_row is not None
 

@@ -1,7 +1,7 @@
 """Telemetry of a daemon as outlets of Lab Streaming Layer (LSL): every sample, and the event codes.
 
-On Linux LSL and the daemon both use CLOCK_MONOTONIC, so on the daemon's machine times are passed on unchanged. A double
-resolves them to a nanosecond for the first 97 days after the machine was started.
+On Linux LSL and the daemon both use CLOCK_MONOTONIC, so on the daemon's machine its times are sent unchanged. A double
+resolves a nanosecond of these times for 97 days after the machine was started.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ SAMPLES_OUTLET: Final = "hapticd samples"
 EVENTS_OUTLET: Final = "hapticd events"
 """Name of the LSL outlet of event codes."""
 OUTLET_BUFFER_S: Final = 60
-"""Duration of the data, in s, that an outlet keeps for a reader that lags."""
+"""An outlet keeps the newest data of this duration, for a reader that lags."""
 OUTLET_LINGER_S: Final = 0.5
-"""Delay before an outlet is closed. Closing drops unsent data, and LSL does not report when everything was sent."""
+"""Delay before an outlet is closed: closing drops unsent data, and LSL does not report when all was sent."""
 _DRAIN_TIMEOUT_S: Final = 1.0
-"""A stream that ends still receives telemetry until the daemon has been silent for this long."""
+"""After the stop, telemetry is received until the daemon's last tick, or until the daemon was silent for this time."""
 _RECEIVE_TIMEOUT_S: Final = 0.1
-"""Time between two checks of the stop event and of the daemon's silence, while no message arrives."""
+"""Time between two checks for the stop and for a silent daemon, while no message arrives."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A channel of an outlet: a field of the daemon's samples, or one axis of a field that is a vector."""
+    """A channel of an LSL outlet: a field of the daemon's samples, or one axis of a vector field."""
 
     label: str
     field: str
@@ -72,16 +72,16 @@ SAMPLE_CHANNELS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """Numbers of samples and event codes that were sent to LSL, and of samples that were lost."""
+    """Numbers of samples and event codes that were sent to LSL, and of samples that were lost or dropped."""
 
     samples: int
-    """Samples that were sent."""
+    """Number of samples that were sent."""
     events: int
-    """Event codes that were sent."""
+    """Number of event codes that were sent."""
     lost: int
-    """Samples that were lost between the daemon and this process."""
+    """Number of samples that were lost between the daemon and this process."""
     dropped: int
-    """Samples that the daemon dropped, because its ring was full."""
+    """Number of samples that the daemon dropped because its ring buffer was full."""
 
 
 def _pylsl() -> ModuleType:
@@ -98,7 +98,7 @@ def _pylsl() -> ModuleType:
 
 
 def matrix_of(batch: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a batch of n samples as numbers of shape (n, len(SAMPLE_CHANNELS))."""
+    """Return a batch of n samples as numbers of shape (n, len(SAMPLE_CHANNELS)), a column for each channel."""
     columns = [batch[each.field] if each.axis is None else batch[each.field][:, each.axis] for each in SAMPLE_CHANNELS]
     return np.column_stack([column.astype(np.float64) for column in columns])
 
@@ -107,20 +107,14 @@ class Outlets:
     """The LSL outlets (streams) of samples and of event codes; a context manager that closes them."""
 
     def __init__(self, status: Status, directory: str) -> None:
-        """Open the outlets of the daemon whose status is `status` and whose sockets are in `directory`.
+        """Open outlets for a daemon with this status, whose sockets are in `directory`.
 
-        Raises HapticdError if pylsl is not installed.
+        Raises HapticdError if pylsl or liblsl is not installed.
         """
         lsl = _pylsl()
         source = f"hapticd:{socket.gethostname()}:{directory}"
-        samples = lsl.StreamInfo(
-            SAMPLES_OUTLET,
-            "Haptics",
-            len(SAMPLE_CHANNELS),
-            float(status["rate_hz"]),
-            lsl.cf_double64,
-            f"{source}:samples",
-        )
+        count, rate_hz = len(SAMPLE_CHANNELS), float(status["rate_hz"])
+        samples = lsl.StreamInfo(SAMPLES_OUTLET, "Haptics", count, rate_hz, lsl.cf_double64, f"{source}:samples")
         self._describe(samples, status, [(each.label, each.unit, each.kind) for each in SAMPLE_CHANNELS])
         events = lsl.StreamInfo(EVENTS_OUTLET, "Markers", 1, lsl.IRREGULAR_RATE, lsl.cf_int32, f"{source}:events")
         self._describe(events, status, [("code", "none", "Marker")])
@@ -151,12 +145,12 @@ class Outlets:
             channel.append_child_value("type", kind)
 
     def push_samples(self, batch: SampleBatch) -> None:
-        """Send a batch of samples to LSL, each with the deadline of its tick as time."""
+        """Send a batch of samples to LSL. The time of a sample is the deadline of its tick."""
         if len(batch):
             self._samples.push_chunk(matrix_of(batch), (batch["time_ns"] / 1e9).tolist())
 
     def push_event(self, event: Mapping[str, object]) -> None:
-        """Send the code of a daemon's event to LSL, if it has one, with the time of its tick."""
+        """Send the event code of a daemon's event to LSL, if there is one, with the time of the event's tick."""
         code = code_of(event)
         if code is None:
             return
@@ -179,10 +173,10 @@ class Outlets:
 
 
 def stream(client: Client, stop: threading.Event, started: Callable[[], None] = lambda: None) -> Sent:
-    """Stream a daemon's telemetry until `stop` is set, up to the daemon's tick at that moment.
+    """Send a daemon's telemetry to LSL until `stop` is set, and return the numbers of samples and event codes.
 
-    `started` is called when the outlets are open. Raises HapticdError if pylsl is not installed, DaemonNotRunning if
-    the daemon ends.
+    The last sample is that of the daemon's tick at the stop. `started` is called when the outlets are open. Raises
+    HapticdError if pylsl or liblsl is not installed, or if the daemon ends or is restarted.
     """
     _pylsl()
     status, account = client.get_status(), SampleStream(warn=False)
@@ -227,9 +221,9 @@ def _check_silence(client: Client, silent_s: float) -> None:
 
 @contextmanager
 def streaming(client: Client) -> Iterator[None]:
-    """Stream telemetry while the context lasts, in a thread with a separate connection.
+    """Send a daemon's telemetry to LSL while the context lasts, in a thread with a separate connection.
 
-    An error while the outlets are opened is raised at the start of the context, a later one at its end.
+    An error while the outlets are opened is raised at the start of the context, a later error at its end.
     """
     stop, begun = threading.Event(), threading.Event()
     failed: list[BaseException] = []

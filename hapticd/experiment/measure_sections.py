@@ -1,4 +1,4 @@
-"""Sections of an analysis on numbers: psychometric functions, staircases, ratings, rankings, measures of the motion."""
+"""Sections of an analysis on psychometric functions, staircases, ratings, rankings and measures of the motion."""
 
 from __future__ import annotations
 
@@ -21,25 +21,26 @@ from hapticd.experiment.analysis.psychometric import PsychometricFit, bootstrap,
 from hapticd.experiment.analysis.psychometric_shapes import PSYCHOMETRIC_SHAPES
 from hapticd.experiment.answer_sections import by_condition
 from hapticd.experiment.behaviour import MEASURE_COLUMNS, Row, StudyFacts, Varied
+from hapticd.experiment.keys import POSITION_MEANINGS
 from hapticd.experiment.procedures.procedure import ProcedureError
 from hapticd.experiment.procedures.staircase import Staircase, StaircaseParameters
 from hapticd.experiment.published_tables import PublishedResults
 from hapticd.experiment.results import Cell, Dots, Fitted, PairedValues, ResultTable, Section
 
 POOLED_LABEL: Final = "pooled"
-"""Text in the column of participants for the answers of all participants together."""
-BOOTSTRAP_RESAMPLES: Final = 1000
-"""Number of resamples of the parametric bootstrap."""
+"""Stands in the column `participant` for the answers of all participants together."""
+_FIT_RESAMPLES: Final = 1000
+"""Number of bootstrap resamples of each fit: fewer than the default, because a table has many fits."""
 _FITTED_CURVE_POINTS: Final = 200
 """Number of points of a drawn psychometric function."""
 _AXIS_UNITS: Final = {True: "1 per unit of ln level", False: "1 per unit of level"}
-"""Unit of the slope, by whether the axis of the level is logarithmic."""
+"""Unit of the slope of a psychometric function, by whether its axis is logarithmic."""
 
 
 def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """Fit a psychometric function to the proportions correct of each condition, cell and varied quantity.
+    """Tabulate psychometric functions, fitted to the answers of each condition, cell and varied quantity.
 
-    One function is fitted to all participants together, and one to each participant.
+    One function is fitted to the answers of all participants together, and one to those of each participant.
     """
     listed: list[tuple[Cell, ...]] = []
     pictures, notes = [], []
@@ -58,7 +59,7 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
                 continue
             threshold, undetermined = None, found.undetermined(varied.unit)
             if undetermined is None:
-                estimates, fitness = bootstrap(found, BOOTSTRAP_RESAMPLES), goodness_of_fit(found, BOOTSTRAP_RESAMPLES)
+                estimates, fitness = bootstrap(found, _FIT_RESAMPLES), goodness_of_fit(found, _FIT_RESAMPLES)
                 ends = estimates["pse"]
                 threshold = ends.value, ends.low, ends.high
                 listed += [
@@ -82,18 +83,8 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
     if not listed:
         return Section((), tuple(pictures), tuple(notes))
     head = (
-        "condition",
-        *(("cell",) if facts.crossed else ()),
-        "procedures",
-        "participant",
-        "function",
-        "trials",
-        "figure",
-        "unit",
-        "value",
-        "low 95 %",
-        "high 95 %",
-        "p of the fit",
+        *("condition", *(("cell",) if facts.crossed else ()), "procedures", "participant", "function", "trials"),
+        *("figure", "unit", "value", "low 95 %", "high 95 %", "p of the fit"),
     )
     note = (
         "The threshold is the level halfway between guess and 1 - lapse. If the level is a difference from a "
@@ -109,9 +100,9 @@ def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
 
 
 def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str, Varied], list[Row]]:
-    """Group rows by condition, cell and varied quantity. Rows that lack a level, or `correct`, are left out.
+    """Group rows by condition, cell and varied quantity. Rows without a level, or without `correct`, are left out.
 
-    Without crossed factors (trial.cross) the cell is empty.
+    In a study without crossed factors (trial.cross) the name of the cell is empty.
     """
     found: dict[tuple[str, str, Varied], list[Row]] = defaultdict(list)
     for row in rows:
@@ -122,12 +113,12 @@ def _by_function(rows: Sequence[Row], facts: StudyFacts) -> dict[tuple[str, str,
 
 
 def _procedure(row: Row) -> str:
-    """Return the name of a row's procedure in the study, without the condition and levels that may follow it."""
+    """Return the name of a row's adaptive procedure, without condition and cell, which may follow in a run's name."""
     return (row.get("procedure") or "").partition(".")[0]
 
 
 def staircases(rows: Sequence[Row], facts: StudyFacts) -> Section:
-    """Tabulate the mean of the reversals of each staircase run, an estimate of the threshold (Levitt, 1971)."""
+    """Tabulate the mean of the reversals of each run of a staircase. It estimates the threshold (Levitt, 1971)."""
     runs: dict[tuple[str, ...], list[Row]] = defaultdict(list)
     for row in rows:
         if _procedure(row) in facts.staircases:
@@ -155,22 +146,22 @@ def staircases(rows: Sequence[Row], facts: StudyFacts) -> Section:
 
 
 def _replayed_staircase(parameters: StaircaseParameters, rows: Sequence[Row]) -> Staircase:
-    """Replay a staircase with the answers of its rows, in their order.
+    """Make a staircase, give it the answers of its rows in their order, and return it.
 
     Raises ProcedureError if a row's level is not the next level of the staircase.
     """
     staircase = Staircase(parameters)
     for row in rows:
         shown, due = row.number("level"), staircase.level()
-        # A table stores nine digits of a level.
+        # A table of answers has nine digits of a level.
         if due is None or shown is None or not math.isclose(shown, due, rel_tol=1e-7, abs_tol=1e-12):
-            raise ProcedureError(f"{row.where}: this level is not the one that the staircase of the study shows next")
+            raise ProcedureError(f"{row.where}: the staircase of the study would not show this level next")
         staircase.answer(due, row.right is True)
     return staircase
 
 
 def ratings(rows: Sequence[Row]) -> Section:
-    """Tabulate numeric answers: median and quartiles over participants of each participant's mean."""
+    """Tabulate ratings: median and quartiles over participants, each of whom counts with the mean of the answers."""
     listed: list[tuple[Cell, ...]] = []
     pictures = []
     for condition, own in by_condition(rows).items():
@@ -192,14 +183,15 @@ def ratings(rows: Sequence[Row]) -> Section:
     return Section((ResultTable("ratings", "Ratings over participants", head, tuple(listed), note),), tuple(pictures))
 
 
-def rankings(rows: Sequence[Row], positions: Sequence[str]) -> Section:
-    """Tabulate answers such as second>first>third: mean ranks of the stimuli of each cell, and Kendall's W."""
+def rankings(rows: Sequence[Row]) -> Section:
+    """Tabulate rankings, such as second>first>third: mean ranks of the stimuli of each cell, and Kendall's W."""
     listed: list[tuple[Cell, ...]] = []
     notes = []
     for condition, own in by_condition(rows).items():
         sets: dict[str, list[list[str]]] = defaultdict(list)
         for row in own:
-            sets[row["cell"]].append([row.stimuli[positions.index(word)] for word in row["response"].split(">")])
+            words = row["response"].split(">")
+            sets[row["cell"]].append([row.stimuli[POSITION_MEANINGS.index(word)] for word in words])
         for cell, ranked in sets.items():
             try:
                 ranks, concordance = mean_ranks(ranked)
@@ -214,7 +206,7 @@ def rankings(rows: Sequence[Row], positions: Sequence[str]) -> Section:
 
 
 def motions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults) -> Section:
-    """Tabulate measures of the motion over participants, and compare each pair of conditions."""
+    """Tabulate measures of the motion over participants, and compare the conditions in pairs."""
     summary: list[tuple[Cell, ...]] = []
     compared: list[tuple[Cell, ...]] = []
     effects: list[tuple[Cell, ...]] = []
@@ -232,18 +224,8 @@ def motions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResults)
                 means[condition] = mean_of_each(values)
                 found = quartiles(list(means[condition].values()))
                 trials = sum(map(len, values.values()))
-                summary.append(
-                    (
-                        measure,
-                        _unit(measure),
-                        condition,
-                        trials,
-                        found.participants,
-                        found.median,
-                        found.low,
-                        found.high,
-                    )
-                )
+                counts, places = (trials, found.participants), (found.median, found.low, found.high)
+                summary.append((measure, _unit(measure), condition, *counts, *places))
         for one, other in combinations(means, 2):
             both = sorted(set(means[one]) & set(means[other]))
             try:
@@ -303,10 +285,8 @@ def _motion_section(
             compared = [row[:-2] for row in compared]
         note = "Differences of the participants' means, with Student's interval."
         tables.append(ResultTable("comparisons", "Conditions compared", head, tuple(compared), note))
-        head = (
-            *("measure", "comparison", "participants", "effect size d_z", "low 95 %", "high 95 %"),
-            *("t", "p (t)", "p (Wilcoxon)"),
-        )
+        ends = "low 95 %", "high 95 %"
+        head = ("measure", "comparison", "participants", "effect size d_z", *ends, "t", "p (t)", "p (Wilcoxon)")
         note = "d_z (no unit) is the mean difference over its standard deviation, with the interval of noncentral t."
         tables.append(ResultTable("effects", "Size of the effects, and tests", head, tuple(effects), note))
     return Section(tuple(tables), tuple(pictures), tuple(notes), compares_published)
@@ -319,7 +299,7 @@ def _unit(measure: str) -> str:
 def _figures(
     found: PsychometricFit, estimates: Mapping[str, Estimate], varied: Varied
 ) -> list[tuple[str, str, Estimate]]:
-    """Return names, units and values of a fit's threshold, Weber fraction, slope and lapse."""
+    """Return the figures of a fit, each with name and unit: threshold, Weber fraction, slope and lapse."""
     threshold, reference = estimates["pse"], varied.reference
     figures = [("threshold", varied.unit, threshold)]
     if varied.level == "added" and reference:
@@ -329,13 +309,13 @@ def _figures(
 
 
 def _ends(found: Estimate) -> tuple[float | None, float | None]:
-    """Return the ends of an interval, or (None, None) if the value is at a bound in every resample."""
+    """Return the ends of an estimate's interval, or (None, None) if the interval has no width."""
     return (None, None) if found.low == found.high else (found.low, found.high)
 
 
 def _most_likely_fit(rows: Sequence[Row], varied: Varied) -> PsychometricFit:
     """Fit every shape of psychometric function, and return the fit with the greatest likelihood."""
-    # Levels to which a staircase returns can differ in their last bits.
+    # A level to which a staircase returns can differ from the earlier one in the last bits.
     levels = np.array([float(f"{row.number('level'):.9g}") for row in rows])
     right = np.array([row.right for row in rows], dtype=float)
     places, at = np.unique(levels, return_inverse=True)

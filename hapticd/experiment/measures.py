@@ -1,43 +1,41 @@
 """Measures of a trial's motion, computed from its telemetry.
 
-`samples` are (n,) records of `hapticd.SAMPLE_DTYPE`, `events` are mappings as in telemetry. The value of a measure that
-the trial does not have, e.g. overtravel without a rupture, is `None`.
+`samples` are (n,) records of `hapticd.SAMPLE_DTYPE`, `events` are mappings as in telemetry. A measure that a trial does
+not have, such as the overtravel without a rupture, is None.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from hapticd.base import wording
 from hapticd.base.core import Flag
 from hapticd.config.schema import unit_of
+from hapticd.experiment.stage import Samples
 
-Samples: TypeAlias = npt.NDArray[np.void]
 Events: TypeAlias = Sequence[Mapping[str, Any]]
 
 
 class Plane(NamedTuple):
-    """The plane of a membrane at rest."""
+    """The plane of a membrane at rest, with a point and the unit normal."""
 
     center_m: tuple[float, float]
     normal: tuple[float, float]
-    """Unit normal."""
 
 
 Planes: TypeAlias = Mapping[str, Plane]
-"""The planes of the membranes of a scene, by id."""
+"""The planes of the membranes of a scene, by the id of the membrane."""
 
 PATH_STEP_S: Final = 0.01
-"""A path's length is that of the polygon through positions at this interval. A shorter interval would count the steps
-of the encoder as motion of the hand.
+"""Interval between the positions whose distances are added to the length of a path. With a shorter interval the steps
+of the encoder would count as motion of the hand.
 """
 
 MOTION_MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m")
-"""Names of all measures, which end with their unit."""
+"""Names of all measures of the motion. Each ends with its unit."""
 _MEASURE_LABELS: Final = {
     "overtravel_m": "Overtravel",
     "peak_force_n": "Largest force",
@@ -48,12 +46,12 @@ _MEASURE_LABELS: Final = {
 
 
 def measure_text(name: str, value: float) -> str:
-    """Format a measure as a participant reads it, such as "Overtravel: 3.2 mm."."""
+    """Return a measure of the motion as text for the participant, such as "Overtravel: 3.2 mm."."""
     return f"{_MEASURE_LABELS[name]}: {wording.si(value, unit_of(name) or '', 3)}."
 
 
 def why_not_done(name: str, value: float | None) -> str | None:
-    """Return why a task with this measure was not done, for the participant, or None if it was done."""
+    """Return a text for the participant if a motor task with this measure was not done, or None if it was done."""
     if name == "overtravel_m" and value is None:
         return "No membrane broke. Push further, until it breaks."
     if name == "peak_force_n" and not value:
@@ -62,7 +60,7 @@ def why_not_done(name: str, value: float | None) -> str | None:
 
 
 def measures_of(samples: Samples, events: Events, planes: Planes) -> dict[str, float | None]:
-    """Return every measure by its name, None for a measure that the trial does not have."""
+    """Return all measures of a trial's motion by name, None for a measure that the trial does not have."""
     return {
         "overtravel_m": overtravel_m(samples, events, planes),
         "peak_force_n": peak_force_n(samples),
@@ -74,9 +72,9 @@ def measures_of(samples: Samples, events: Events, planes: Planes) -> dict[str, f
 def overtravel_m(samples: Samples, events: Events, planes: Planes) -> float | None:
     """Return how far the hand moved beyond the place of the first rupture, along the membrane's normal, in m.
 
-    The place of the rupture is interpolated between the two samples around `onset_time_ns` of the first event
-    `puncture`. The direction of the puncture follows from the side of the resting membrane on which this place lies.
-    The velocity would be less reliable, as the hand may just have reversed.
+    Returns None without a rupture. The place is interpolated between the two samples around the `onset_time_ns` of the
+    first event `puncture`. The side of the resting membrane on which this place lies gives the direction of the motion.
+    The velocity would be less reliable, because the hand may just have reversed.
     """
     rupture = next((event for event in events if event["event"] == "puncture" and event["object"] in planes), None)
     if rupture is None or len(samples) < 2:
@@ -94,12 +92,12 @@ def overtravel_m(samples: Samples, events: Events, planes: Planes) -> float | No
 
 
 def peak_force_n(samples: Samples) -> float | None:
-    """Return the largest magnitude of the commanded force, in N."""
+    """Return the largest magnitude of the commanded force in N, or None without samples."""
     return float(np.hypot(*samples["force_n"].T).max()) if len(samples) else None
 
 
 def completion_s(samples: Samples) -> float | None:
-    """Return the time from the first to the last sample with the forces on, in s."""
+    """Return the time in s from the first to the last sample with the forces on, or None without such samples."""
     on = np.flatnonzero(samples["flags"] & Flag.FORCES_ON)
     if len(on) == 0:
         return None
@@ -108,7 +106,7 @@ def completion_s(samples: Samples) -> float | None:
 
 
 def path_m(samples: Samples) -> float | None:
-    """Return the length of the handle's path in m, through positions every PATH_STEP_S."""
+    """Return the length in m of the handle's path through the positions at intervals of PATH_STEP_S, or None."""
     if len(samples) == 0:
         return None
     times = samples["time_ns"].astype(np.int64)
@@ -120,7 +118,7 @@ def path_m(samples: Samples) -> float | None:
 
 
 def planes_of(objects: Mapping[str, Any]) -> dict[str, Plane]:
-    """Return the planes of the membranes among a scene's objects, which are plain data by id."""
+    """Return the planes of the membranes among the objects of a scene (plain data, by id)."""
     found: dict[str, Plane] = {}
     for id, each in objects.items():
         if each.get("kind") == "membrane":
@@ -129,9 +127,3 @@ def planes_of(objects: Mapping[str, Any]) -> dict[str, Plane]:
             center_x, center_y = map(float, each["center_m"])
             found[id] = Plane((center_x, center_y), (x / length, y / length))
     return found
-
-
-def joined(arrays: Iterable[Samples], empty: Samples) -> Samples:
-    """Concatenate arrays of samples; without any, return `empty`."""
-    taken = list(arrays)
-    return np.concatenate(taken) if taken else empty

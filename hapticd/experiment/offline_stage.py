@@ -1,6 +1,6 @@
-"""The stage for trials without a daemon, faster than real time: it simulates servo and joystick.
+"""The stage (renderer) for trials without a daemon: it simulates servo and joystick, faster than real time.
 
-Nothing waits in real time. The session's clock is the simulated time: each tick adds its period.
+The session's clock is the simulated time: each tick adds its period.
 """
 
 from __future__ import annotations
@@ -28,10 +28,7 @@ class OfflineStage:
     """A renderer of trials that simulates servo and joystick, without a daemon."""
 
     def __init__(self, keep_telemetry: bool = False) -> None:
-        """Make the stage.
-
-        With `keep_telemetry` each trial is written to a .npz, which takes longer than computing it.
-        """
+        """Make the stage. With `keep_telemetry` each trial is written to a .npz, which takes longer than the trial."""
         self._keep = keep_telemetry
         self._config: Config | None = None
         self._on = False
@@ -48,12 +45,12 @@ class OfflineStage:
         return {"kind": "offline", "version": __version__, "device": "sim"}
 
     def check(self) -> None:
-        """Do nothing: an offline stage loses no forces."""
+        """Do nothing: offline, neither a fault nor another client switches the forces off."""
 
     def arm(self, config: Config) -> None:
-        """Set the configuration that is simulated from now on, as `Stage.arm`; forbid motions until `enable`.
+        """Set the configuration that `move` simulates, and forbid motions until `enable`.
 
-        Each run of the closed loop begins with an untouched scene.
+        Each motion begins with an untouched scene.
         """
         self.fade()
         self._config = config
@@ -73,7 +70,7 @@ class OfflineStage:
         self._on = False
 
     def mark(self, text: str, data: Json) -> None:
-        """Add an event code at the next tick. The mark `interval` begins a new interval."""
+        """Add a mark with this text and data at the next tick. The text `interval` begins a new interval."""
         if text == EventCode.INTERVAL.text:
             self._parts = []
         tick = sum(len(part.samples) for part in self._parts)
@@ -83,7 +80,7 @@ class OfflineStage:
 
     @contextmanager
     def recording(self, target: Path, notes: Mapping[str, Json]) -> Iterator[None]:
-        """Record a trial; at its end write the motions of the last interval into `target` if telemetry is kept."""
+        """Record a trial. If telemetry is kept, write the motions of its last interval into `target`, a .npz file."""
         self._parts, self._marks = [], []
         yield
         if self._keep and self._parts:
@@ -97,7 +94,7 @@ class OfflineStage:
         if motion.reaction is not None:
             at_s = motion.reaction.noticed_s(run.samples)
             if at_s is not None:
-                # Until that time the new run is the same, bit for bit, as it does not depend on later waypoints.
+                # Until `at_s` the new run is the same, bit for bit, because it does not depend on later waypoints.
                 changed = np.vstack((until(motion.waypoints, at_s), motion.reaction.then(at_s)))
                 run = simulate_run(self._config, changed, check_stability=False)
         self._parts.append(run)
@@ -140,7 +137,7 @@ class OfflineStage:
 
 
 def _shifted(event: Any, run: Run, ticks: int, time_ns: int) -> dict[str, Any]:
-    """Return an event as a mapping, with its ticks and times counted from the first motion of the interval."""
+    """Return an event of a motion as a mapping, with `ticks` added to its tick and `time_ns` to its times."""
     found: dict[str, Any] = event_map(event, run.objects.get((int(event["slot"]), int(event["generation"]))))
     found["tick"] += ticks
     for name in ("time_ns", "onset_time_ns"):

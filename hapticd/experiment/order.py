@@ -1,6 +1,6 @@
-"""The order of trials and the sides of stimuli, from a seed.
+"""Random orders of trials and of the stimuli in them, from a seed.
 
-The generator is PCG64, seeded by (seed, participant, session). Every order that the design allows is equally likely.
+The random generator is PCG64, seeded by (seed, participant, session). All allowed orders are equally likely.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ OrderKind: TypeAlias = Literal["random", "blocked", "latin_square", "listed"]
 _SEED_WORDS_PER_NAME: Final = 4
 """Number of 32-bit words of a participant's hashed name in the seed."""
 _LATIN_SQUARE_SALT: Final = b"latin square"
-"""Replaces the participant's name in the seed, as all participants share a Latin square."""
+"""Replaces the participant's name in the seed: all participants share a Latin square."""
 
 
 def generator_of(seed: int, participant: str, session: int) -> np.random.Generator:
@@ -32,23 +32,23 @@ def _generator(seed: int, name: bytes, number: int) -> np.random.Generator:
 
 
 def participant_number(participant: str) -> int | None:
-    """Return the number at the end of a participant's name, as 7 for P07, or None without digits."""
+    """Return the number at the end of a participant's name, such as 7 for P07, or None without digits."""
     found = re.search(r"[0-9]{1,9}$", participant)
     return int(found[0]) if found else None
 
 
 def williams_rows(count: int) -> int:
-    """Return the number of rows of a Williams design of `count` treatments: `count` if it is even, else twice that."""
+    """Return the number of rows of a Williams design for `count` treatments: `count` if even or 1, else twice that."""
     return count if count % 2 == 0 or count == 1 else 2 * count
 
 
 def williams_row(count: int, row: int) -> list[int]:
-    """Return one row of a Williams design of treatments 0 to count - 1.
+    """Return row `row` of a Williams design, which is an order of the treatments 0 to count - 1.
 
     Over all rows each treatment is at each position equally often, and follows each other treatment equally often
     (Williams, "Experimental designs balanced for the estimation of residual effects of treatments", Aust. J. Sci. Res.
-    A 2, 1949). The first row is 0, n-1, 1, n-2, ...; row k adds k to it, modulo n. If n is odd, the second half of the
-    rows is the first half reversed.
+    A 2, 1949). Row 0 is 0, n-1, 1, n-2, ... for n treatments. Row k adds k to each treatment of row 0, modulo n. If n
+    is odd, the rows from n on are the rows before them, reversed.
     """
     shift, backwards = row % count, row % williams_rows(count) >= count
     first = [(position + 1) // 2 if position % 2 == 0 else count - (position + 1) // 2 for position in range(count)]
@@ -57,11 +57,10 @@ def williams_row(count: int, row: int) -> list[int]:
 
 
 def latin_order(count: int, seed: int, participant: str, session: int) -> list[int]:
-    """Return treatments 0 to count - 1 in the order of this participant and session.
+    """Return the treatments 0 to count - 1 in the order for a session, a row of a Williams design.
 
-    Participants whose names end in consecutive numbers get consecutive rows of a Williams design, and so do sessions.
-    A name without a number gets a random row. The assignment of treatments to the symbols of the design only depends on
-    the seed.
+    Participants whose names end in consecutive numbers get consecutive rows, and so do consecutive sessions. A name
+    without a number gets a random row. Which treatment is which symbol of the design depends on seed and count only.
     """
     symbols = _generator(seed, _LATIN_SQUARE_SALT, count).permutation(count)
     rows = williams_rows(count)
@@ -74,11 +73,11 @@ def latin_order(count: int, seed: int, participant: str, session: int) -> list[i
 def blocks_of(
     keys: Sequence[Hashable], kind: OrderKind, generator: np.random.Generator, square: Sequence[int] = ()
 ) -> list[list[int]]:
-    """Return the blocks of a session in their order, each as indices of `keys`.
+    """Return the blocks of a session in their order, each as a list of trials (indices of `keys`).
 
-    `keys` has the condition, cell or repetition of each trial. For `blocked` and `latin_square`, equal keys make a
-    block. For `latin_square`, `square` is the order of the blocks, which are numbered by their first appearance.
-    Within a block all orders are equally likely.
+    `keys` has the condition, cell or repetition of each trial. For the kinds `blocked` and `latin_square`, trials with
+    equal keys make a block. For `latin_square`, `square` is the order of the blocks, numbered by first appearance.
+    Within a block all orders are equally likely, except for `listed`, which keeps the order.
     """
     if kind == "listed":
         return [list(range(len(keys)))]
@@ -93,14 +92,14 @@ def blocks_of(
 
 
 def shuffled(items: Sequence[int], generator: np.random.Generator) -> list[int]:
-    """Return the items in a random order. All orders are equally likely."""
+    """Return the items in a random order; all orders are equally likely."""
     return [int(each) for each in generator.permutation(np.asarray(items, dtype=np.int64))]
 
 
 def interleaved(counts: Sequence[int], generator: np.random.Generator) -> list[int]:
-    """Return an order of adaptive procedures in which each index occurs `counts[index]` times.
+    """Return the order in which adaptive procedures get trials: procedure `index` occurs `counts[index]` times.
 
-    It consists of rounds: each has every procedure that has trials left once, in random order.
+    The order consists of rounds. A round has each procedure that has trials left once, in random order.
     """
     found: list[int] = []
     for turn in range(max(counts, default=0)):
@@ -109,10 +108,10 @@ def interleaved(counts: Sequence[int], generator: np.random.Generator) -> list[i
 
 
 def sides(pairs: Sequence[tuple[int, int]], generator: np.random.Generator) -> list[bool]:
-    """Return for each pair of stimuli whether its order is reversed.
+    """Return for each pair of stimuli, one per trial, whether its order is reversed.
 
-    Equal pairs have both orders equally often, give or take one. Each stimulus is first as often as it is second, give
-    or take one trial, not counting pairs with itself. Both orders of a pair are equally likely.
+    Equal pairs have both orders equally often, give or take one trial. Each stimulus is first as often as second, give
+    or take one trial, without pairs of a stimulus with itself. Both orders of a pair are equally likely.
     """
     copies: dict[tuple[int, int], list[int]] = defaultdict(list)
     for index, (one, other) in enumerate(pairs):
@@ -138,10 +137,10 @@ def sides(pairs: Sequence[tuple[int, int]], generator: np.random.Generator) -> l
 def _balanced_directions(
     edges: Sequence[tuple[int, int, int]], generator: np.random.Generator
 ) -> list[tuple[int, int]]:
-    """Direct edges, pairs of stimuli (one, other, id), along Euler circuits, and return (id, first vertex) of each.
+    """Give each edge (one, other, id) of a graph a direction, and return (id, first vertex) of each.
 
-    Each vertex is first as often as second, give or take one edge. Vertices of odd degree are connected to an
-    auxiliary vertex, whose edges are left out.
+    An edge is a pair of stimuli. Each vertex is first as often as second, give or take one edge, because the directions
+    follow Euler circuits. Vertices of odd degree are connected to an auxiliary vertex, whose edges are left out.
     """
     if not edges:
         return []
@@ -177,9 +176,9 @@ def _balanced_directions(
 
 
 def target_positions(counts: Sequence[int], alternatives: int, generator: np.random.Generator) -> list[list[int]]:
-    """Return the position of the target, 0 to alternatives - 1, for each trial of each cell.
+    """Return the positions of the target, 0 to alternatives - 1, in the `counts[cell]` trials of each cell.
 
-    In every cell, and in all cells together, the positions are equally frequent, give or take one trial.
+    In each cell, and in all cells together, the positions are equally frequent, give or take one trial.
     """
     cycle = shuffled(range(alternatives), generator)
     found: list[list[int]] = [[] for _ in counts]
@@ -192,9 +191,9 @@ def target_positions(counts: Sequence[int], alternatives: int, generator: np.ran
 
 
 def track_positions(count: int, alternatives: int, generator: np.random.Generator) -> list[int]:
-    """Return the positions of the target in the trials of a procedure.
+    """Return the positions of the target, 0 to alternatives - 1, in the `count` trials of a procedure.
 
-    Each group of 4 * alternatives successive trials has each position 4 times, so that a procedure that ends early is
+    Each group of 4 * alternatives successive trials has each position 4 times. A procedure that ends early is therefore
     nearly balanced.
     """
     found: list[int] = []

@@ -15,7 +15,7 @@ Scalar: TypeAlias = bool | int | float | str
 
 
 def scalar_of(value: object) -> Scalar:
-    """Return the value if it is a finite scalar. Raises ValueError otherwise."""
+    """Return `value` if it is a boolean, a finite number or a string. Raises ValueError otherwise."""
     if not isinstance(value, bool | int | float | str):
         raise ValueError(f"must be a number, a string, true or false, is {shown(value)}")
     if isinstance(value, float) and not math.isfinite(value):
@@ -24,9 +24,9 @@ def scalar_of(value: object) -> Scalar:
 
 
 def mapping_of(value: object) -> dict[str, Json]:
-    """Return a mapping as plain data.
+    """Return `value`, a mapping, as plain data (JSON).
 
-    Raises ValueError if the value is not a mapping, InvalidError if it contains anything but plain data.
+    Raises ValueError if `value` is not a mapping, InvalidError if its content is not plain data.
     """
     if not isinstance(value, dict):
         raise ValueError(f"must be a mapping, is {shown(value)}")

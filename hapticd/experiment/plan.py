@@ -1,6 +1,6 @@
 """The plan of a session: which trials a participant gets, in which order, with which stimuli.
 
-Trials of a cell (`cells.Cell`) differ only in the order of presentation.
+Trials of a cell (`cells.Cell`) have the same stimuli, and differ only in the order of presentation.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ class PlannedTrial:
     condition: str
     cell: str
     repetition: int
-    """Number of the trial in its cell and phase, or in the run of its procedure, from 1."""
+    """Number of the trial in its cell and phase, or in the run of its adaptive procedure, from 1."""
     stimuli: tuple[Stimulus, ...]
-    """The stimuli in order of presentation: places from left to right, or intervals. The target of an adaptive trial
-    has no value of the varied key yet; see stimuli.at_level."""
+    """The stimuli in order of presentation: places from left to right, or intervals. The target of an adaptive
+    procedure has no level yet; `stimuli.at_level` sets it before the trial."""
     question: str
     """Name of the question in the study."""
     correct: str | None
     """Name of the correct answer, or None if the study defines none."""
     procedure: str | None
-    """Name of the run of a procedure that determines the level, or None. A trial whose procedure has ended is
-    skipped."""
+    """Name of the run of the adaptive procedure that chooses the level, or None. If the procedure has ended before, the
+    trial is skipped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All trials of a session of a participant."""
+    """The plan of a session: all trials of one participant, in order."""
 
     study: Study
     participant: str
@@ -66,7 +66,7 @@ class Plan:
 
 @dataclass(slots=True)
 class _UnplacedTrial:
-    """A trial that has no index and block yet. `order` holds indices of its cell's stimuli."""
+    """A trial that has no index and no block yet. `order` holds indices of the stimuli of its cell."""
 
     cell: Cell
     repetition: int
@@ -77,7 +77,7 @@ class _UnplacedTrial:
 def plan(study: Study, participant: str, session: int, seed: int) -> Plan:
     """Plan the trials of a session. Equal arguments give the same plan.
 
-    Raises InvalidError for invalid stimuli; `load_study` already rejects these.
+    Raises InvalidError for invalid stimuli, which a study from `load_study` does not have.
     """
     generator = generator_of(seed, participant, session)
     cells = cells_of(study)
@@ -98,7 +98,7 @@ def plan(study: Study, participant: str, session: int, seed: int) -> Plan:
 def _test(
     study: Study, cells: Sequence[Cell], participant: str, session: int, seed: int, generator: np.random.Generator
 ) -> Iterator[list[_UnplacedTrial]]:
-    """Yield the trials of the test, the phase after practice and training, block by block."""
+    """Yield the trials of the test phase, block by block."""
     if study.trial.procedures is not None:
         yield from _adaptive_test(study, cells, participant, session, seed, generator)
         return
@@ -127,7 +127,7 @@ def _adaptive_test(
 ) -> Iterator[list[_UnplacedTrial]]:
     """Yield the test trials of adaptive procedures, block by block.
 
-    Runs of procedures are interleaved, and each keeps the order of its trials.
+    Within a block, runs of procedures are interleaved, except with the order `listed`.
     """
     by_procedure = study.order.by == "procedure"
     keys = [cell.procedure if by_procedure else cell.condition for cell in cells]
@@ -161,7 +161,7 @@ def _with_target_at(position: int, count: int) -> tuple[int, ...]:
 
 
 def _orders(study: Study, cells: Sequence[Cell], generator: np.random.Generator) -> list[list[tuple[int, ...]]]:
-    """Return the order of the stimuli of each trial, by cell, balanced over trials."""
+    """Return the order of the stimuli in each trial of each cell, balanced over trials."""
     own = [tuple(range(len(cell.levels))) for cell in cells]
     if study.trial.list is not None:
         return [[order] * cell.count for order, cell in zip(own, cells, strict=True)]
@@ -179,7 +179,7 @@ def _orders(study: Study, cells: Sequence[Cell], generator: np.random.Generator)
 
 
 def _pair_orders(cells: Sequence[Cell], generator: np.random.Generator) -> list[list[tuple[int, ...]]]:
-    """Return which stimulus of its pair each trial presents first, by cell, balanced within each condition."""
+    """Return the order of the two stimuli, (0, 1) or (1, 0), in each trial of each cell, balanced in each condition."""
     found: list[list[tuple[int, ...]]] = [[] for _ in cells]
     numbers: dict[tuple[str, tuple[tuple[str, object], ...]], int] = {}
     pairs: dict[str, list[tuple[int, tuple[int, int]]]] = {}
@@ -196,7 +196,7 @@ def _pair_orders(cells: Sequence[Cell], generator: np.random.Generator) -> list[
 
 
 def _ranking_orders(cell: Cell, generator: np.random.Generator) -> list[tuple[int, ...]]:
-    """Return the order of the stimuli of each ranking: Latin squares, cyclic shifts of random orders.
+    """Return the order of the stimuli in each ranking of a cell, as rows of cyclic Latin squares in random order.
 
     Each stimulus is at each position equally often, give or take one trial.
     """
@@ -212,9 +212,9 @@ def _ranking_orders(cell: Cell, generator: np.random.Generator) -> list[tuple[in
 def _warmup(
     study: Study, cells: Sequence[Cell], warmup: Warmup, generator: np.random.Generator
 ) -> list[_UnplacedTrial]:
-    """Return practice or training trials: each cell equally often, give or take one.
+    """Return practice or training trials, from each cell equally many, give or take one.
 
-    Their order and the sides of their stimuli are random.
+    The order of the trials, and of the stimuli in a trial, is random. Listed stimuli keep their order.
     """
     chosen: list[int] = []
     while len(chosen) < warmup.trials:
@@ -232,7 +232,7 @@ def _warmup(
 
 
 class _TrialMaker:
-    """A maker of planned trials from trials without an index. Equal stimuli at the same place share one object."""
+    """Makes planned trials from trials without an index. Equal stimuli at the same place share one object."""
 
     def __init__(self, study: Study) -> None:
         self._study = study
@@ -240,7 +240,7 @@ class _TrialMaker:
         self._known: dict[object, Stimulus] = {}
 
     def trials(self, phase: Phase, block: int, items: Sequence[_UnplacedTrial], first: int) -> list[PlannedTrial]:
-        """Return the planned trials of a block in order; `first` is the index of its first trial."""
+        """Return the planned trials of a block in order. `first` is the index of the first one."""
         question = self._study.trial.question
         return [
             PlannedTrial(
@@ -279,7 +279,7 @@ class _TrialMaker:
     def _stimulus(
         self, cell: Cell, index: int, levels: Levels, place: str | None, variable: Variable | None
     ) -> Stimulus:
-        # In a procedure the name of a stimulus is that of its role: target or reference.
+        # In a procedure a stimulus is named by its role, target or reference.
         role = None if cell.procedure is None else index == 0
         key = cell.condition, role, place, levels_key(levels), id(variable)
         known = self._known.get(key)

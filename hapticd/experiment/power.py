@@ -1,7 +1,7 @@
-"""The power of a study to find the effect that it states, by simulated experiments.
+"""The statistical power of a study, by simulated experiments: the probability of finding the effect that it states.
 
 A proportion of correct answers is tested against chance by the exact binomial test of all answers of all participants.
-A difference of a measure is tested by Student's t of the participants' mean differences against 0. Both are two-sided.
+A difference of a measure is tested against 0 by a t test of the participants' mean differences. Both are two-sided.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from hapticd.base.errors import HapticdError
 from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
 
 SIMULATED_EXPERIMENTS: Final = 4000
-"""Number of simulated experiments; the standard error of the power is at most 0.8 %."""
+"""Number of simulated experiments: the standard error of the power is then at most 0.8 %."""
 _SIMULATION_SEED: Final = 1
-"""Seed of the simulation; it makes the power reproducible."""
+"""Random seed of the simulation, fixed for a reproducible power."""
 
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """The simulated power of a study."""
+    """The statistical power of a study, from simulated experiments."""
 
     power: float
-    """Fraction of the experiments in which the test rejects chance (or no difference) in the effect's direction."""
+    """Fraction of the experiments in which the test finds the effect, in its direction."""
     standard_error: float
     """Standard error of `power`, due to the number of simulated experiments."""
     participants: int
     trials: int
-    """Number of answers of each participant, or of pairs of trials for a difference."""
+    """Number of answers of each participant; for a difference, number of pairs of trials."""
     test: str
     """Name of the statistical test, with its sample size."""
 
@@ -54,10 +54,10 @@ def power_of_proportion(effect: ProportionEffect, chance: float, trials: int, se
 
 
 def critical_counts(total: int, chance: float, significance: float) -> tuple[int, int]:
-    """Return the critical counts of the two-sided exact binomial test.
+    """Return the lower and the upper critical count of the two-sided exact binomial test of `total` answers.
 
-    The test rejects chance if the number of correct answers is at most the first count, or at least the second. Each
-    tail has at most half of the significance. Without such a number the first is -1, the second total + 1.
+    The test rejects chance if the number of correct answers is at most the lower or at least the upper count. Each tail
+    has at most half of the significance. If no count is critical, the lower one is -1 and the upper one total + 1.
     """
     counts = np.arange(total + 1)
     lgamma = np.array([math.lgamma(count + 1) for count in range(total + 1)])
@@ -70,7 +70,7 @@ def critical_counts(total: int, chance: float, significance: float) -> tuple[int
 
 
 def power_of_difference(effect: DifferenceEffect, pairs: int, seed: int = _SIMULATION_SEED) -> Power:
-    """Simulate the power of a t test of a difference, with `pairs` pairs of trials of each participant.
+    """Simulate the power of a t test of the difference of a measure, with `pairs` pairs of trials per participant.
 
     Raises HapticdError if scipy is not installed.
     """

@@ -1,14 +1,14 @@
-"""The progress of a session, from its log.
+"""The progress of a session, from the records of its log.
 
-These kinds of records change the progress. The others do not: `session_resumed`, `note`, `paused`, `continued`,
-`break`, `line_dropped`, `stage_lost`, `aborted`.
+These kinds of records change the progress:
 
     session_started the session began
     trial_started   an attempt at a trial began: trial, attempt, file, stimuli, level
     answer          the trial is done: answer, correct, times, measures, and the new state of its procedure
-    trial_given_up  the attempt does not count: repeated, paused, aborted, or a motor task that was not done
     trial_skipped   the trial is not needed, because its procedure has ended
     ended           the session is over: all trials are done, or a stop rule ended it
+
+Of the other kinds (`trial_given_up`, `note`, `paused`, ...) only the time `at_s` is used, for `elapsed_s`.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ class Progress:
     procedures: dict[str, Json] = field(default_factory=dict)
     """The newest state of each adaptive procedure."""
     elapsed_s: float = 0.0
-    """Time on the session's clock of the last record that has a time."""
+    """Latest time of a record, in s on the session's clock, which runs only while a process runs the session."""
     correct: int = 0
     answered: int = 0
     answered_in_test: int = 0
     wrong_in_a_row: int = 0
     """Number of successive wrong answers in the test, up to the newest answer."""
     test_began_s: float | None = None
-    """Onset of the first answered trial of the test, on the session's clock; None before it."""
+    """Onset of the first answered trial of the test, in s on the session's clock; None before its answer."""
     began: bool = False
     """Whether the session was started."""
     ended: str | None = None
     """Reason why the session is over, or None."""
 
     def take(self, record: Record) -> None:
-        """Update the progress with the next record of the log."""
+        """Update the progress with the next record of the session's log."""
         kind = record["kind"]
         if "at_s" in record:
             self.elapsed_s = max(self.elapsed_s, cast(float, record["at_s"]))
@@ -79,13 +79,13 @@ class Progress:
 
 
 def check_not_over(folder: Path, progress: Progress) -> None:
-    """Raise HapticdError if the session in a folder is over."""
+    """Raise HapticdError if the session in `folder`, with this progress, is over."""
     if progress.ended is not None:
         raise HapticdError(f"{folder}: this session is over ({progress.ended}) and cannot be resumed")
 
 
 def progress_of(records: Iterable[Record]) -> Progress:
-    """Return the progress of a session with these records."""
+    """Return the progress of a session from all records of its log."""
     progress = Progress()
     for record in records:
         progress.take(record)

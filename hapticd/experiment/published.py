@@ -1,4 +1,4 @@
-"""Published results in the package, to compare a study with."""
+"""Published results that ship with hapticd, for comparison with sessions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hapticd.base.yaml_source import Json, load_bytes
 
 
 def published(name: str) -> dict[str, Json]:
-    """Return published results by their name FILE.SECTION, such as `okamura1998.tapping`.
+    """Return the published results with the name FILE.SECTION, such as `okamura1998.tapping`.
 
     Raises HapticdError for an unknown name.
     """
@@ -24,13 +24,13 @@ def published(name: str) -> dict[str, Json]:
 
 
 def published_faults(name: str) -> list[str]:
-    """Return an empty list for a known name, else a list with one error text."""
+    """Return a list with an error text if `name` is not a name of published results, else an empty list."""
     known = published_names()
     return [] if name in known else [f"unknown published results {quoted(name)}; {known_names(name, known)}"]
 
 
 def published_names() -> list[str]:
-    """List the names of all published results, as FILE.SECTION."""
+    """Return the names of all published results, each as FILE.SECTION."""
     return [
         f"{file}.{section}"
         for file, sections in _files().items()

@@ -1,4 +1,4 @@
-"""Published results in the form of an analysis: medians and quartiles, matrices of pairs, differences."""
+"""Published results in the form in which an analysis shows them: quartiles, percentages of pairs, a difference."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from hapticd.experiment.published import published
 
 @dataclass(frozen=True, slots=True)
 class PublishedMatrix:
-    """Published percent correct of each pair of items."""
+    """Published percent correct of each pair of k items."""
 
     items: tuple[str, ...]
     percent: Floats
-    """Shape (k, k), a lower triangle with its diagonal; nan where nothing is published."""
+    """Percent correct (k, k), a lower triangle with its diagonal; NaN where nothing is published."""
 
 
 @dataclass(frozen=True, slots=True)
 class PublishedResults:
-    """Results of a publication, by condition. Results that it does not report are empty or None."""
+    """Results of a publication. Results that were not published are empty or None."""
 
     quartiles: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    """Median, first and third quartile of percent correct."""
+    """Median, first and third quartile of percent correct, by condition."""
     matrices: Mapping[str, PublishedMatrix] = field(default_factory=dict)
-    """Percent correct of each pair of items."""
+    """Percent correct of each pair of items, by condition."""
     difference: tuple[str, float, float] | None = None
-    """Name, mean and standard deviation of a measure's difference, with vibration minus without."""
+    """Difference of a measure, with vibration minus without: name of the measure, mean, standard deviation."""
 
 
 def published_results(name: str) -> PublishedResults:
-    """Return published results by their name FILE.SECTION. Raises HapticdError for an unknown name."""
+    """Return the published results with the name FILE.SECTION. Raises HapticdError for an unknown name."""
     data = published(name)
     return PublishedResults(_quartiles(data), _matrices(data), _difference(data))
 
@@ -72,7 +72,7 @@ def _matrices(data: Mapping[str, Json]) -> dict[str, PublishedMatrix]:
 
 
 def _of_names(items: Sequence[str], table: Json, diagonal: Sequence[Json]) -> Floats:
-    """Return the lower triangle of a published symmetric table, whose cells are given by two names in either order."""
+    """Return the lower triangle of a published table by pairs of items, whose cells have two names in either order."""
     percent = np.diag(np.array([_number(each) for each in diagonal]))
     percent[~np.eye(len(items), dtype=bool)] = np.nan
     assert isinstance(table, dict)

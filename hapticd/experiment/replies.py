@@ -1,4 +1,4 @@
-"""Conversion of typed texts and slider values to answers in the data."""
+"""Converts typed texts and slider values to the answers that are stored."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from hapticd.experiment.keys import POSITION_MEANINGS
 
 
 def typed_reply(shown: Shown, text: str) -> str | float:
-    """Return the answer to a question of kind ranking, slider, number or text.
+    """Convert `text` to the answer to a question of kind ranking, slider, number or text.
 
-    Raises ValueError with a text for the participant if the answer is invalid.
+    Raises ValueError, with a message for the participant, if the answer is invalid.
     """
     return _REPLY_PARSERS[shown.kind](shown, text)
 
@@ -31,7 +31,7 @@ def _number(shown: Shown, text: str) -> float:
 
 
 def _ranking(shown: Shown, text: str) -> str:
-    """Convert "2 1 3" into "second>first>third"."""
+    """Convert the numbers of stimuli in a typed order, such as "2 1 3", to an answer such as second>first>third."""
     words = text.replace(">", " ").replace(",", " ").split()
     wanted = [str(number) for number in range(1, shown.stimuli + 1)]
     if sorted(words) != wanted:
@@ -52,4 +52,4 @@ _REPLY_PARSERS: Final[dict[str, Callable[[Shown, str], str | float]]] = {
     "number": _number,
     "text": _text,
 }
-"""The function that converts a typed text, by kind of question."""
+"""Functions that convert a typed text to an answer, by kind of question."""

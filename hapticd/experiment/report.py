@@ -1,4 +1,4 @@
-"""The report of an analysis as one HTML page with tables, and pictures as SVG, drawn by matplotlib."""
+"""The report of an analysis: one HTML page with tables, and with pictures as SVG, drawn by matplotlib."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MATRIX_CELL_INCHES: Final = 0.42
-"""Width and height of a cell of a matrix."""
+"""Width and height of a drawn cell of a matrix, enough for four characters."""
 _LABEL_LETTER_INCHES: Final = 0.085
-"""Width of a letter in a label."""
+"""Width of a letter in a label, for the size of a picture."""
 
 
 def require() -> None:
-    """Raise HapticdError if matplotlib, which the report needs, is not installed."""
+    """Raise HapticdError if matplotlib, which a report needs, is not installed."""
     require_matplotlib("the report", "experiment")
 
 
 def page(analysis: Analysis) -> str:
-    """Return the report as an HTML page. Raises HapticdError if matplotlib is not installed."""
+    """Return the report of an analysis as an HTML page. Raises HapticdError if matplotlib is not installed."""
     require()
     warned = "\n".join(f'<p class="warning">{html.escape(note)}</p>' for note in analysis.notes)
     compared = (
@@ -60,7 +60,7 @@ def _table(table: ResultTable) -> str:
 
 
 def svg(picture: Picture) -> str:
-    """Draw a picture as an SVG element."""
+    """Draw a picture, and return it as an SVG element."""
     from matplotlib.figure import Figure
 
     drawn: dict[type[Any], Callable[[Figure, Any], None]] = {
@@ -166,5 +166,5 @@ def _title(figure: Figure, text: str) -> None:
 
 
 def texts(tables: Sequence[ResultTable]) -> dict[str, str]:
-    """Return the text of a CSV file for each table, by file name."""
+    """Return the text of a CSV file for each table of results, by file name."""
     return {f"{table.name}.csv": table.csv() for table in tables}

@@ -1,4 +1,4 @@
-"""Parts of an analysis: tables, pictures and notes. Terminal, CSV files and HTML page show the same numbers."""
+"""Tables, pictures and notes of an analysis. Terminal, CSV files and HTML page show the same numbers."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from hapticd.analysis.statistics import Floats
 from hapticd.base.yaml_source import Json
 
 Cell: TypeAlias = str | int | float | None
-"""A value of a table; None if it is missing."""
+"""A cell of a table of results; None for a missing value."""
 MIN_SHOWN_P: Final = 1e-4
-"""A smaller p value is shown as "< 0.0001"."""
+"""Smallest p value that is shown as a number. A smaller one is shown as "< 0.0001"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,14 +22,14 @@ class ResultTable:
     """A table of results. The header of a column ends with its unit."""
 
     name: str
-    """Name of its CSV file, without the suffix."""
+    """Name of the table, and of its CSV file without the suffix."""
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     note: str = ""
 
     def text(self) -> list[tuple[str, ...]]:
-        """Return the rows as text, with four digits. A p value below MIN_SHOWN_P is shown as "< 0.0001"."""
+        """Return the rows of the table as text: four digits, and "< 0.0001" for a p value below MIN_SHOWN_P."""
         are_p = [head == "p" or head.startswith("p ") for head in self.columns]
         return [
             tuple(p_text(cell) if is_p else cell_text(cell) for cell, is_p in zip(row, are_p, strict=True))
@@ -37,7 +37,7 @@ class ResultTable:
         ]
 
     def of_text(self) -> tuple[bool, ...]:
-        """Return for each column whether it contains only texts, which are aligned left."""
+        """Return for each column of the table whether it contains only texts, which are aligned left."""
         columns = list(zip(*self.rows, strict=True)) or [()] * len(self.columns)
         return tuple(all(isinstance(cell, str) for cell in column) for column in columns)
 
@@ -59,21 +59,21 @@ class ResultTable:
 
 @dataclass(frozen=True, slots=True)
 class Dots:
-    """A picture of values with intervals. Each series has arrays of shape (k,), nan for missing values."""
+    """A picture of values with intervals. Each series has a value for each of k labels, NaN if it is missing."""
 
     title: str
     labels: tuple[str, ...]
     series: tuple[tuple[str, Floats, Floats, Floats], ...]
-    """Name, values, lower and upper ends of the intervals."""
+    """Name of a series, its values (k,), and the lower and upper ends (k,) of their intervals."""
     axis: str
     """Label of the axis, with its unit."""
     chance: float | None = None
-    """Level of chance, which is drawn as a line, or None."""
+    """Value expected by chance, which is drawn as a line, or None."""
 
 
 @dataclass(frozen=True, slots=True)
 class Matrices:
-    """A picture of matrices as colours, side by side. Each has shape (rows, columns); nan stays empty."""
+    """A picture of matrices side by side, with values as colours. Each has shape (rows, columns); NaN is not drawn."""
 
     title: str
     rows: tuple[str, ...]
@@ -86,7 +86,7 @@ class Matrices:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A picture of a psychometric function and the proportions that it was fitted to, in percent."""
+    """A picture of a psychometric function, in percent, and of the answers to which it was fitted."""
 
     title: str
     levels: Floats
@@ -96,7 +96,7 @@ class Fitted:
     curve_levels: Floats
     curve_percent: Floats
     threshold: tuple[float, float, float] | None
-    """The threshold and the ends of its interval, or None if the answers do not determine it."""
+    """The threshold and the ends of its interval, or None if the answers do not determine a threshold."""
     level_label: str
     logarithmic: bool
     axis: str = "correct answers, %"
@@ -104,7 +104,7 @@ class Fitted:
 
 @dataclass(frozen=True, slots=True)
 class PairedValues:
-    """A picture with one line per participant over the conditions. `values` has shape (participants, conditions)."""
+    """A picture with a line for each participant, over conditions. `values` has shape (participants, conditions)."""
 
     title: str
     conditions: tuple[str, ...]
@@ -123,11 +123,11 @@ class Section:
     pictures: tuple[Picture, ...] = ()
     notes: tuple[str, ...] = ()
     compares_published: bool = False
-    """Whether the tables contain published values."""
+    """Whether the tables contain published results."""
 
 
 def cell_text(cell: Cell) -> str:
-    """Return a cell as text: at most four digits, a dash for a missing value."""
+    """Return a cell of a table as text: at most four digits, and a dash for a missing value."""
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return "-"
     if isinstance(cell, float):
@@ -136,7 +136,7 @@ def cell_text(cell: Cell) -> str:
 
 
 def p_text(cell: Cell) -> str:
-    """Return a p value as text, like cell_text, but "< 0.0001" for one below MIN_SHOWN_P."""
+    """Return a p value as text: at most four digits, "< 0.0001" below MIN_SHOWN_P, and a dash if it is missing."""
     return f"< {MIN_SHOWN_P:.4f}" if isinstance(cell, float) and cell < MIN_SHOWN_P else cell_text(cell)
 
 

@@ -1,7 +1,7 @@
 """The runner of a session: it runs the trials of a plan on a stage (the renderer), with a front (the user interface).
 
-A trial is over when its answer is on disk in the log. Only then the next one begins. After any end of the process,
-`Session` continues from the log with the same order and procedures, and repeats no answered trial.
+A trial is over when its answer is on disk in the log. Only then the next trial begins. However the process ends, a new
+`Session` continues from the log with the same order and procedures. No answered trial is repeated.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from hapticd.experiment.stimuli import Stimulus
 from hapticd.experiment.trial_scenes import configurations, seen
 
 MAX_FAULTS_IN_A_ROW: Final = 3
-"""The session ends after this many successive attempts that ended in a fault."""
+"""The session ends after this many successive attempts at trials during which the forces were switched off."""
 MAX_ATTEMPTS_NOT_DONE: Final = 3
-"""A motor task that was not done in this many successive attempts ends without answer."""
+"""A motor task that was not done in this many successive attempts ends without an answer."""
 
 Ending: TypeAlias = Literal["ended", "aborted"]
 """How a run ended: the session is over, or the experimenter aborted it."""
 Procedures: TypeAlias = "Callable[[str, Json], Procedure]"
-"""Function that makes the adaptive procedure of a name: from its state, or a new one if the state is null."""
+"""Function that makes an adaptive procedure from its name and its stored state; null makes a new procedure."""
 AtLevel: TypeAlias = Callable[[PlannedTrial, float], tuple[Stimulus, ...]]
-"""Function that returns the stimuli of an adaptive trial at a level."""
+"""Function that returns the stimuli of a trial if its adaptive procedure shows this level."""
 
 
 class _Aborted(Exception):
@@ -49,7 +49,7 @@ class _Aborted(Exception):
 
 
 class _AttemptRepeated(Exception):
-    """The attempt at a trial does not count, and the trial begins again, after a pause if `paused`."""
+    """The attempt at a trial does not count, and the trial begins again; if `paused`, after a pause."""
 
     def __init__(self, paused: bool = False) -> None:
         super().__init__()
@@ -58,7 +58,7 @@ class _AttemptRepeated(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _ArmedTrial:
-    """A trial with its level, stimuli and the configurations of its intervals."""
+    """A trial with its level, its stimuli and the configurations of its intervals, as it is presented."""
 
     trial: PlannedTrial
     level: float | None
@@ -68,7 +68,7 @@ class _ArmedTrial:
 
 
 class Session:
-    """One run of a session by one process, from the beginning or from where the session's log ends."""
+    """One run of a session by one process, from the first trial, or from the point where the log ends."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class Session:
     ) -> None:
         """Prepare a run of a session.
 
-        `monotonic_s` is the clock of response times; an offline stage uses simulated time.
+        `monotonic_s` returns the time in s, from which response times are computed; offline it is the simulated time.
         """
         self._folder, self._log, self._plan = folder, log, plan
         self._stage, self._front = stage, front
@@ -111,14 +111,14 @@ class Session:
 
     @property
     def answered(self) -> int:
-        """Number of answered trials. Trials of a procedure that has ended are skipped."""
+        """Number of answered trials, without those that were skipped because their procedure had ended."""
         return self._progress.answered
 
     def run(self) -> Ending:
         """Run the remaining trials and close the log. Call it once.
 
-        Raises HapticdError if the stage is lost or something cannot be written. The log stays valid, and another
-        Session can continue from it.
+        Raises HapticdError if the stage is lost or a file cannot be written. The log stays valid, and another `Session`
+        can continue from it.
         """
         check_not_over(self._folder.path, self._progress)
         resumed = self._begin()
@@ -150,7 +150,7 @@ class Session:
     # ---- The session ----------------------------------------------------------------------------------------
 
     def _begin(self) -> bool:
-        """Log the start of the run, and return whether it resumes a session."""
+        """Log the start of the run, and return whether the session was started by an earlier run."""
         moment = clock.read()
         resumed = self._progress.began
         self._record(
@@ -163,11 +163,11 @@ class Session:
             clock={"monotonic_ns": moment.monotonic_ns, "realtime_ns": moment.realtime_ns},
         )
         if self._log.dropped is not None:
-            self._front.tell(self._log.dropped)
+            self._front.show_line(self._log.dropped)
         return resumed
 
     def _abort_quietly(self) -> None:
-        """Fade the forces and mark the abort after an error. Further errors are suppressed."""
+        """Fade the forces and mark the abort, after an error. HapticdErrors meanwhile are suppressed."""
         with suppress(HapticdError):
             self._stage.fade()
             self._mark(EventCode.SESSION_ABORTED)
@@ -194,7 +194,7 @@ class Session:
         self._mark(EventCode.SESSION_END)
 
     def _stop_reason(self) -> str | None:
-        """Return why a stop rule of the study ends the test now, or None."""
+        """Return the reason if a stop rule of the study ends the test now, else None."""
         stop = self._plan.study.stop
         begun = self._progress.test_began_s
         if stop.after_s is not None and begun is not None and self._elapsed_s() - begun >= stop.after_s:
@@ -222,7 +222,7 @@ class Session:
             self._record("break", before_trial=trial.index)
             self._mark(EventCode.BREAK_BEGIN)
             ends_s = self._elapsed_s() + breaks.least_s
-            # Repeated after a note or a pause, with the rest of the break.
+            # After a note or a pause the break continues with its remaining time.
             self._ask_between_trials(lambda: self._front.rest(breaks.text, max(0.0, ends_s - self._elapsed_s())))
             self._mark(EventCode.BREAK_END)
 
@@ -279,7 +279,7 @@ class Session:
     def _present(self, armed: _ArmedTrial, attempt: int) -> tuple[Reply, float, float]:
         """Present the intervals of a trial one after another, and ask its question.
 
-        Returns the reply, and on the session's clock the onsets of the first and of the last interval.
+        Returns the reply, and the onsets of the first and the last interval in s on the session's clock.
         """
         stage, shown = self._stage, armed.shown
         mark = partial(self._mark, trial=armed.trial.index, attempt=attempt)
@@ -293,7 +293,7 @@ class Session:
                 )
             if not stage.is_clear():
                 self._ask_during_attempt(armed, attempt, partial(self._front.withdraw, shown, number, stage))
-            # Obey commands that came while the scene was armed before the forces are on, and later ones right after.
+            # Commands that came before the forces are on keep them off. Later ones are obeyed right after `enable`.
             self._ask_during_attempt(armed, attempt, self._front.may_enable)
             stage.enable()
             self._ask_during_attempt(armed, attempt, self._front.may_enable)
@@ -323,7 +323,7 @@ class Session:
         asked_s: float,
         answered_s: float,
     ) -> None:
-        """Write the answer to a trial and the new state of the trial's procedure to disk, in one record."""
+        """Write one record to the log, with the answer to a trial and the new state of the trial's procedure."""
         trial = armed.trial
         question = self._plan.study.questions[trial.question]
         answer: Json = reply.answer
@@ -376,10 +376,9 @@ class Session:
     def _measures_if_done(
         self, armed: _ArmedTrial, attempt: int, reply: Reply, measures: Mapping[str, float | None]
     ) -> Mapping[str, float | None]:
-        """Return the measures of a trial, with None for a motor task that was not done.
+        """Return the measures of a trial, or raise _AttemptRepeated if it is a motor task that was not done.
 
-        Raises _AttemptRepeated for a motor task that was not done, unless its time limit passed or it was the last of
-        MAX_ATTEMPTS_NOT_DONE attempts.
+        After the time limit, or after MAX_ATTEMPTS_NOT_DONE attempts, the measure that was not done is None instead.
         """
         question = self._plan.study.questions[armed.trial.question]
         if not isinstance(question, MeasureQuestion):
@@ -411,7 +410,7 @@ class Session:
         return {name: found[name] for name in wanted}
 
     def _check_faults(self, trial: PlannedTrial, attempt: int) -> None:
-        """Repeat an attempt at a trial if the forces were switched off during it; see `_repeat_attempt`."""
+        """Give up an attempt at a trial (`_repeat_attempt`) if the forces were switched off during the attempt."""
         try:
             self._stage.check()
         except HapticdError as error:
@@ -419,15 +418,16 @@ class Session:
         self._faults = 0
 
     def _repeat_attempt(self, trial: PlannedTrial, attempt: int, because: HapticdError) -> NoReturn:
-        """Give an attempt at a trial up. Raises _AttemptRepeated, or the fault itself after MAX_FAULTS_IN_A_ROW faults.
+        """Give up an attempt at a trial after the error `because`.
 
-        The trial begins again after a pause if another client stopped the forces.
+        Raises _AttemptRepeated, with a pause if another client stopped the forces. The last of MAX_FAULTS_IN_A_ROW
+        successive errors is raised itself.
         """
         self._faults += 1
         self._give_up(trial, attempt, because=str(because))
         if self._faults >= MAX_FAULTS_IN_A_ROW:
             raise because
-        self._front.tell(f"trial {trial.index + 1} begins again: {because}")
+        self._front.show_line(f"trial {trial.index + 1} begins again: {because}")
         raise _AttemptRepeated(paused=isinstance(because, ForcesStopped)) from None
 
     # ---- Communication with the front -----------------------------------------------------------------------
@@ -435,9 +435,10 @@ class Session:
     def _ask_during_attempt(
         self, armed: _ArmedTrial, attempt: int, ask: Callable[[], Reply | Command | None]
     ) -> Reply | None:
-        """Return the result of `ask`, a method of the user interface, called during an attempt at a trial.
+        """Call `ask`, a method of the user interface, during an attempt at a trial, and return the reply.
 
-        A command to pause or repeat ends the attempt, as its times would be invalid.
+        Raises _AttemptRepeated for a command to pause or repeat, because the times of the attempt would be invalid, and
+        _Aborted for a command to abort. After a note `ask` is called again.
         """
         while True:
             result = ask()
@@ -453,7 +454,10 @@ class Session:
             raise _AttemptRepeated(paused=result.kind == "pause")
 
     def _ask_between_trials(self, ask: Callable[[], Command | None]) -> None:
-        """Call `ask`, a method of the user interface, between trials, and obey its commands until it returns none."""
+        """Call `ask`, a method of the user interface, between trials until it returns no command, and obey commands.
+
+        Raises _Aborted for a command to abort.
+        """
         while (result := ask()) is not None:
             if result.kind == "abort":
                 raise _Aborted
@@ -462,7 +466,7 @@ class Session:
             elif result.kind == "pause":
                 self._pause()
             else:
-                self._front.tell("repeat: no trial is running")
+                self._front.show_line("repeat: no trial is running")
 
     def _pause(self) -> None:
         self._record("paused")
@@ -520,7 +524,7 @@ class Session:
         return self._procedures[name]
 
     def _elapsed_s(self) -> float:
-        """Return the time on the session's clock, which stands still while no process runs the session."""
+        """Return the time in s on the session's clock, which stands still while no process runs the session."""
         return self._now_s() - self._origin_s
 
     def _give_up(self, trial: PlannedTrial, attempt: int, because: str) -> None:
@@ -528,7 +532,7 @@ class Session:
         self._mark(EventCode.TRIAL_GIVEN_UP, trial=trial.index, attempt=attempt)
 
     def _mark(self, code: EventCode, **members: Json) -> None:
-        """Send an event code for other programs. Its data must not name stimuli or conditions."""
+        """Send an event code to other programs. `members`, its data, must not name stimuli or conditions."""
         self._stage.mark(code.text, {"code": int(code), **members})
 
     def _record(self, kind: str, **members: Json) -> Record:

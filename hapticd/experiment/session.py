@@ -1,4 +1,4 @@
-"""Begin or resume a session: write and read its plan, and make its adaptive procedures."""
+"""Begin or resume a session: write and read the plan of its trials, and make its adaptive procedures."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _PROCEDURE_KINDS: Final[dict[str, tuple[Any, Any]]] = {
     "quest_plus": (QuestPlus, QuestPlusParameters),
     "constant_stimuli": (ConstantStimuli, ConstantStimuliParameters),
 }
-"""The class of each kind of adaptive procedure, and that of its parameters."""
+"""The class of each kind of adaptive procedure, and the class of its parameters."""
 
 
 def begin(root: Path, source: bytes, plan: Plan, stage: Mapping[str, Json]) -> tuple[SessionFolder, SessionLog]:
-    """Make the folder of a new session.
+    """Make the folder and the log of a new session, and return both.
 
-    `source` is the study's YAML as it was read, `stage` what `Stage.describe` returns. Raises HapticdError if the
-    session already exists or cannot be written.
+    `source` is the content of the study's YAML file, `stage` the description from `Stage.describe`. Raises HapticdError
+    if the session already exists or cannot be written.
     """
     return SessionFolder.create(root, source, plan_document(plan), about_of(plan, stage, clock.read()))
 
 
 def about_of(plan: Plan, stage: Mapping[str, Json], moment: clock.Moment) -> dict[str, Json]:
-    """Return the content of session.json for a session that begins at `moment`."""
+    """Return the content of session.json for a session that begins at `moment` on this stage."""
     return {
         "participant": plan.participant,
         "session": plan.session,
@@ -51,7 +51,7 @@ def about_of(plan: Plan, stage: Mapping[str, Json], moment: clock.Moment) -> dic
 
 
 def plan_document(plan: Plan) -> dict[str, Json]:
-    """Return a plan as plain data. It contains the complete study, including the content of the base file."""
+    """Return a plan as plain data, with the complete study, including the content of its base file."""
     return {
         "study": plan.study.to_dict(),
         "participant": plan.participant,
@@ -79,7 +79,7 @@ def _trial_document(trial: PlannedTrial) -> dict[str, Json]:
 
 
 def plan_of(folder: SessionFolder) -> Plan:
-    """Read the plan of a session from its file, since another version might plan differently.
+    """Return the plan in the file plan.json of a session. Another version of hapticd might plan different trials.
 
     Raises HapticdError if the file is invalid.
     """
@@ -96,9 +96,9 @@ def plan_of(folder: SessionFolder) -> Plan:
 
 
 def procedure_of(study: Study, name: str, state: Json) -> Procedure:
-    """Make the adaptive procedure called `name`: a new one if the state is null, else one with that state.
+    """Return the adaptive procedure of the run `name`: a new one if `state` is null, else one with this stored state.
 
-    Raises HapticdError if the study or the state is invalid.
+    Raises HapticdError if study or state is invalid.
     """
     method = dict(study.adaptive(name).method)
     kind = str(method.get("kind", ""))

@@ -3,11 +3,11 @@
     study.yaml        the study as it was read
     plan.json         every trial in its order
     session.json      participant, session, seed, versions, device and calibration
-    log.jsonl         the log (session_log). It is created last: if it exists, the other files are complete
-    trial-0007.npz    telemetry of the trial with index 7; that of its second attempt is trial-0007-2.npz
+    log.jsonl         the log (session_log), created last: if it exists, study.yaml and the JSON files are complete
+    trial-0007.npz    telemetry of the trial with index 7; of its second attempt: trial-0007-2.npz
     beh/              the tables of BIDS, made from the log (bids)
 
-These files preserve the order of trials and the answers, however the process ends.
+These files keep the order of trials and the answers, however the process ends.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ PLAN_FILE_NAME: Final = "plan.json"
 SESSION_FILE_NAME: Final = "session.json"
 LOG_FILE_NAME: Final = "log.jsonl"
 MAX_SESSION_NUMBER: Final = 99
-"""Largest number of a session; folders have two digits."""
+"""Largest number of a session, as the names of folders have two digits."""
 _PARTICIPANT_LABEL: Final = re.compile("[A-Za-z0-9]{1,32}")
-"""Labels of participants that BIDS allows."""
+"""The labels of participants that BIDS allows, with a limit of length."""
 
 
 def participant_label(participant: str) -> str:
-    """Return the label of a participant in file names. Raises HapticdError if BIDS does not allow it."""
+    """Return `participant` if it is a valid label for file names. Raises HapticdError if BIDS does not allow it."""
     if not _PARTICIPANT_LABEL.fullmatch(participant):
         raise HapticdError(f"participant {quoted(participant)}: must be 1 to 32 ASCII letters and digits, such as P07")
     return participant
 
 
 def numbered(label: str, count: int) -> tuple[str, ...]:
-    """Return `count` numbered labels of participants, as `simA000001`. Raises HapticdError if one is invalid."""
+    """Return `count` labels of participants, such as A000001 for `label` A. Raises HapticdError if one is invalid."""
     return tuple(participant_label(f"{label}{number:06d}") for number in range(1, count + 1))
 
 
 def folder_of(root: Path, participant: str, session: int) -> Path:
-    """Return the folder of a session in a data set. Raises HapticdError if participant or session is invalid."""
+    """Return the folder of a session in the data set `root`. Raises HapticdError for an invalid label or number."""
     if not 1 <= session <= MAX_SESSION_NUMBER:
         raise HapticdError(f"session {session}: must be between 1 and {MAX_SESSION_NUMBER}")
     return root / f"sub-{participant_label(participant)}" / f"ses-{session:02d}"
 
 
 def check_new(root: Path, participant: str, session: int) -> Path:
-    """Return the folder of a new session. Raises HapticdError if the session already exists."""
+    """Return the folder for a new session in the data set `root`. Raises HapticdError if the session already exists."""
     path = folder_of(root, participant, session)
     check_regular(path / LOG_FILE_NAME)
     if (path / LOG_FILE_NAME).exists():
@@ -67,7 +67,7 @@ def check_new(root: Path, participant: str, session: int) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class SessionFolder:
-    """A session on disk: its log, and the files that do not change after its beginning."""
+    """The folder of a session, with the content of the files that do not change after its beginning."""
 
     path: Path
     study: bytes
@@ -81,9 +81,9 @@ class SessionFolder:
     def create(
         cls, root: Path, study: bytes, plan: Mapping[str, Json], about: Mapping[str, Json]
     ) -> tuple[SessionFolder, SessionLog]:
-        """Make the folder for the participant and session in `about`, and its log.
+        """Make the folder and the log of a new session, whose participant and number are in `about`.
 
-        A folder without a log, left by a process that was killed, is written again. Raises HapticdError if the session
+        A folder without a log, from a process that was killed, is written again. Raises HapticdError if the session
         already exists or the folder cannot be written.
         """
         path = check_new(root, str(about["participant"]), cast(int, about["session"]))
@@ -92,7 +92,7 @@ class SessionFolder:
         return made, SessionLog(path / LOG_FILE_NAME)
 
     def write(self) -> None:
-        """Write the files that do not change later, and sync them to disk. Raises HapticdError if that fails."""
+        """Write study.yaml, plan.json and session.json, and sync them to disk. Raises HapticdError if that fails."""
         self._write({}, synced=True)
         try:
             for folder in (self.path, self.path.parent, self.root):
@@ -101,7 +101,7 @@ class SessionFolder:
             raise HapticdError(f"{error.filename or self.path}: cannot be written: {error.strerror}") from None
 
     def write_with(self, log: bytes) -> None:
-        """Write the files of a session that is over, `log` last, without syncing to disk.
+        """Write the files of a session that is over, without syncing them to disk. `log`, the complete log, is last.
 
         Raises HapticdError if that fails.
         """
@@ -123,7 +123,7 @@ class SessionFolder:
 
     @classmethod
     def open(cls, path: Path) -> SessionFolder:
-        """Read the session in a folder. Raises HapticdError if there is no session, or it cannot be read."""
+        """Read the session in the folder `path`. Raises HapticdError if it contains no session or cannot be read."""
         if not (path / LOG_FILE_NAME).is_file():
             raise HapticdError(
                 f"{path}: not the folder of a session: it has no {LOG_FILE_NAME}; give one such as sub-P07/ses-01"
@@ -134,7 +134,7 @@ class SessionFolder:
 
     @property
     def root(self) -> Path:
-        """The folder of the data set."""
+        """The folder of the data set that contains the session."""
         return self.path.parent.parent
 
     @property
@@ -149,11 +149,14 @@ class SessionFolder:
 
     @property
     def seed(self) -> int:
-        """Random seed of the plan."""
+        """Random seed of the session's plan."""
         return cast(int, self.about["seed"])
 
     def log(self) -> SessionLog:
-        """Open the session's log for writing. Raises HapticdError as `SessionLog`."""
+        """Open the session's log for writing.
+
+        Raises HapticdError if another process has the log open, or if the log is damaged or cannot be written.
+        """
         return SessionLog(self.path / LOG_FILE_NAME)
 
     def contents(self) -> Contents:
@@ -161,7 +164,7 @@ class SessionFolder:
         return read_log(self.path / LOG_FILE_NAME)
 
     def trial_file(self, trial: int, attempt: int) -> Path:
-        """Return a file name that does not exist yet, for the telemetry of an attempt (from 1) at a trial."""
+        """Return an unused file name for the telemetry of an attempt, from 1, at the trial with index `trial`."""
         number = attempt
         while True:
             ending = "" if number == 1 else f"-{number}"

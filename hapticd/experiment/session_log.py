@@ -5,9 +5,9 @@ A line is a JSON object that ends with the checksum of the file up to it:
     {"record":0,"kind":"session_started",...,"crc32":"1a2b3c4d"}
 
 `record` counts from 0. The checksum is the CRC-32 of the line up to the comma before `crc32`, starting with the
-checksum of the previous line. So a changed, removed or moved line is detected. If the last line is incomplete because
-the process was killed, it is removed, kept in a record `line_dropped`, and reported. Damage before the last line is an
-error, as the records there are lost.
+checksum of the previous line, so it detects a changed, removed or moved line. If the last line is incomplete because
+the process was killed, it is replaced by a record `line_dropped` with its text, and reported. Damage before the last
+line is an error.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ _CHECKSUM_KEY: Final = b',"crc32":"'
 _LINE_ENDING: Final = b'"}'
 """Text after the checksum of a line."""
 _MAX_KEPT_TORN_BYTES: Final = 4096
-"""At most this many bytes of an incomplete line are kept in its record `line_dropped`."""
+"""A record `line_dropped` has at most this many bytes of the incomplete line that it replaces."""
 
 Record = dict[str, Json]
-"""One record without its checksum: `record`, `kind` and the members of that kind."""
+"""A record without its checksum: its number `record`, its `kind`, and the members of this kind."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """The content of a session's log: its records, and the incomplete last line."""
+    """The content of a session's log: its records, and an incomplete last line."""
 
     records: tuple[Record, ...]
     size: int
     """Number of bytes of the valid lines."""
     crc: int
-    """Checksum of the last valid line."""
+    """CRC-32 of the last valid line."""
     torn: bytes
-    """The incomplete line after the valid ones, or empty."""
+    """The incomplete line after the valid lines, or empty."""
 
 
 def encoded(record: Mapping[str, Json], crc: int) -> tuple[bytes, int]:
-    r"""Return the line of a record, including its \n, and its checksum. `crc` is that of the previous line.
+    r"""Return the line of a record, including \n, and the line's checksum. `crc` is the checksum of the previous line.
 
     Raises HapticdError if the record cannot be written as JSON.
     """
@@ -66,9 +66,9 @@ def encoded(record: Mapping[str, Json], crc: int) -> tuple[bytes, int]:
 
 
 def decoded(data: bytes, name: str) -> Contents:
-    """Decode the records of a log. `name` is the file name for errors.
+    """Decode `data`, the content of a log. `name` is its file name, for errors.
 
-    Raises HapticdError with the line's number for a damaged line before the last one.
+    Raises HapticdError for a damaged line before the last one.
     """
     records: list[Record] = []
     crc, at = 0, 0
@@ -90,7 +90,7 @@ def decoded(data: bytes, name: str) -> Contents:
 
 
 def _record(line: bytes, crc: int, number: int) -> tuple[Record, int] | None:
-    """Return the record of a line and its checksum, or None if the line is damaged."""
+    """Return the record in a line, and the line's checksum, or None if the line is damaged or not record `number`."""
     body, mark, rest = line.rpartition(_CHECKSUM_KEY)
     checksum = zlib.crc32(body, crc)
     if not mark or rest != b"%08x%s" % (checksum, _LINE_ENDING):
@@ -112,7 +112,7 @@ def read_log(path: Path) -> Contents:
 
 
 def lines_of(records: Iterable[Mapping[str, Json]]) -> bytes:
-    """Return the complete log of these records. Raises HapticdError if one cannot be written as JSON."""
+    """Return the content of a log with these records. Raises HapticdError if one cannot be written as JSON."""
     lines, crc = [], 0
     for record in records:
         line, crc = encoded(record, crc)
@@ -121,15 +121,15 @@ def lines_of(records: Iterable[Mapping[str, Json]]) -> bytes:
 
 
 class Log(Protocol):
-    """The interface of a log for the runner."""
+    """The interface of a session's log, for the runner."""
 
     records: list[Record]
-    """Records that existed when the log was opened."""
+    """Records of the log when it was opened."""
     dropped: str | None
-    """Message that an incomplete last line was removed, or None."""
+    """Message that an incomplete last line was removed from the log, or None."""
 
     def append(self, kind: str, **members: Json) -> Record:
-        """Append a record and return it with its number. Raises HapticdError if it cannot be written."""
+        """Append a record to the log, and return it with its number. Raises HapticdError if it cannot be written."""
 
     def close(self) -> None:
         """Close the log of the session."""
@@ -144,7 +144,7 @@ class LogInMemory:
         self.appended: list[Record] = []
 
     def append(self, kind: str, **members: Json) -> Record:
-        """Append a record and return it with its number."""
+        """Append a record to the log, and return it with its number."""
         record: Record = {"record": len(self.appended), "kind": kind, **members}
         self.appended.append(record)
         return record
@@ -154,16 +154,16 @@ class LogInMemory:
 
 
 class SessionLog:
-    """A log in a file, which is locked while it is open. Each record is on disk when `append` returns."""
+    """The log of a session in a file, which is locked while it is open. `append` returns when a record is on disk."""
 
     def __init__(self, path: Path) -> None:
-        """Open or create the log. An incomplete last line is removed and kept in a record `line_dropped`.
+        """Open or create the log. A record `line_dropped` replaces an incomplete last line.
 
-        Raises HapticdError if another process has it open, or if it is damaged or cannot be written.
+        Raises HapticdError if another process has the log open, or if the log is damaged or cannot be written.
         """
         self.path = path
         self.dropped: str | None = None
-        """Message that an incomplete last line was removed, or None."""
+        """Message that an incomplete last line was removed from the log, or None."""
         check_regular(path)
         try:
             self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
@@ -173,7 +173,7 @@ class SessionLog:
             self._lock()
             contents = decoded(_read_all(self._fd), str(path))
             self.records: list[Record] = list(contents.records)
-            """Records that existed when the log was opened. Appended ones are not added."""
+            """Records of the log when it was opened, with a new `line_dropped`. Later ones are not added."""
             self._count = len(self.records)
             self._size, self._crc = contents.size, contents.crc
             if contents.torn:
@@ -187,9 +187,9 @@ class SessionLog:
             raise
 
     def append(self, kind: str, **members: Json) -> Record:
-        """Append a record, wait until it is on disk (fsync), and return it with its number.
+        """Append a record to the log, wait until it is on disk (fsync), and return it with its number.
 
-        Raises HapticdError if it cannot be written. Then the log is unchanged.
+        Raises HapticdError, and leaves the log unchanged, if the record cannot be written.
         """
         if self._fd < 0:
             raise HapticdError(f"{self.path}: the log is closed")
@@ -237,7 +237,7 @@ class SessionLog:
             "its trial is repeated"
         )
         text = torn[:_MAX_KEPT_TORN_BYTES].decode("utf-8", "backslashreplace")
-        # The record replaces the line in one write. If that is interrupted, it is in turn removed the next time.
+        # If the process is killed meanwhile, the incomplete line is gone, or the new record is removed in turn.
         os.ftruncate(self._fd, self._size)
         self.records.append(self.append("line_dropped", bytes=len(torn), text=text))
 

@@ -1,4 +1,4 @@
-"""The interface of a stage, which renders trials: on a daemon, or in the simulated closed loop."""
+"""The interface of a stage, which renders trials: on a daemon, or offline by simulation."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ Waypoints: TypeAlias = npt.NDArray[np.float64]
 
 
 class ForcesLost(HapticdError):
-    """A fault switched the forces off. The attempt does not count, and the trial may begin again."""
+    """A fault switched the forces off during a trial. The attempt does not count, and the trial may begin again."""
 
 
 class ForcesStopped(HapticdError):
-    """Another client switched the forces off. They stay off until the experimenter continues."""
+    """Another client switched the forces off during a trial. They stay off until the experimenter continues."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
-    """A reaction of a simulated hand to what it feels."""
+    """A reaction of a simulated hand to the samples that it feels."""
 
     noticed_s: Callable[[Samples], float | None]
-    """Returns when the hand reacts to the samples that it felt, in s from the first sample, or None."""
+    """Returns the time of the reaction to the samples felt until now, in s from the first sample, or None."""
     then: Callable[[float], Waypoints]
-    """Returns the waypoints of the reaction from a time onwards."""
+    """Returns the waypoints of a reaction at a time, in s from the first sample."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The motion of a simulated hand: waypoints, followed in straight lines, and a reaction to what it feels."""
+    """The motion of a simulated hand: waypoints, joined by straight lines, and a reaction to what the hand feels."""
 
     waypoints: Waypoints
     reaction: Reaction | None = None
@@ -49,7 +49,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """Samples, and events as mappings, of the last interval of a trial while the forces were on."""
+    """Samples and events of the last interval of a trial, while the forces were on. Events are mappings."""
 
     samples: Samples
     events: Sequence[Mapping[str, Any]]
@@ -59,25 +59,25 @@ class Stage(Protocol):
     """The renderer of a session's trials. Each method raises HapticdError if it fails."""
 
     def describe(self) -> dict[str, Json]:
-        """Return version, device, calibration and real-time rights, for session.json."""
+        """Return version and device for session.json; of a daemon also configuration and real-time rights."""
 
     def check(self) -> None:
-        """Raise an error if the forces are not on as `enable` left them.
+        """Check that a fault or another client has not switched the forces off.
 
-        Raises ForcesLost if a fault keeps them off, ForcesStopped if another client switched them off, and another
-        HapticdError if the stage is lost.
+        Raises ForcesLost after a fault, ForcesStopped if another client switched the forces off after `enable`, and
+        another HapticdError if the stage is lost.
         """
 
     def arm(self, config: Config) -> None:
         """Fade the force out, then replace scene and materials at one tick, and clear the contact state.
 
-        On return the previous scene is not felt any more, and the forces are still off.
+        On return the forces are off.
         """
 
     def is_clear(self) -> bool:
         """Return whether the handle is outside every object of the armed scene, and in front of its membranes.
 
-        Always true if no hand holds the handle between motions.
+        Always true for a stage whose hand leaves the handle between motions.
         """
 
     def enable(self) -> None:
@@ -87,23 +87,20 @@ class Stage(Protocol):
         """Fade the commanded force out, and return when it is zero."""
 
     def mark(self, text: str, data: Json) -> None:
-        """Add an event code to the telemetry."""
+        """Add a mark with this text and data to the telemetry. It carries an event code."""
 
     def recording(self, target: Path, notes: Mapping[str, Json]) -> AbstractContextManager[None]:
         """Record telemetry while the context lasts, into `target` if the stage keeps telemetry."""
 
     def move(self, motion: Motion) -> Samples:
-        """Move the simulated hand, and return the samples of this motion.
-
-        Raises HapticdError without a simulated hand.
-        """
+        """Move the simulated hand, and return the samples of this motion. Raises HapticdError without such a hand."""
 
     def telemetry(self) -> Telemetry:
         """Return the telemetry of the last interval of the last recorded trial."""
 
 
 def until(waypoints: Waypoints, time_s: float) -> Waypoints:
-    """Return the waypoints before a time, and the interpolated position at that time as the last one."""
+    """Return the waypoints before `time_s`, followed by the interpolated position at `time_s`."""
     times = waypoints[:, 0]
     before = waypoints[times < time_s]
     here = [time_s, *(float(np.interp(time_s, times, waypoints[:, axis])) for axis in (1, 2))]

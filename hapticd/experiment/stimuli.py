@@ -1,8 +1,8 @@
-"""The configuration of a stimulus: the study's base with the changes of condition, levels and procedure.
+"""The configuration of a stimulus: the base of the study, changed by condition, factors and procedure.
 
 The condition is applied first, then each factor in the order of the study, then a procedure's variable. `{place}` in a
-key or a text is replaced by the place of the stimulus. Names of materials, and changes of shipped materials, are
-explained in `key_paths`.
+key or a text is replaced by the place of the stimulus. `key_paths` explains how names of materials and changes of
+shipped materials are applied.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from hapticd.experiment.keys import Study, Variable
 from hapticd.experiment.plain_values import Scalar
 
 PLACE_PLACEHOLDER: Final = "{place}"
-"""Replaced by the place of a stimulus, in the keys and texts of a study."""
+"""Text in a study that is replaced by the place of a stimulus, such as left."""
 TARGET_NAME: Final = "target"
-"""Name of the stimulus whose level a procedure varies."""
+"""Name of the stimulus whose level an adaptive procedure varies."""
 REFERENCE_NAME: Final = "reference"
-"""Name of the other stimuli of a procedure."""
+"""Name of the stimuli that the target of an adaptive procedure is compared with."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """A stimulus at one place or in one interval."""
+    """A stimulus of a trial, at one place or in one interval."""
 
     name: str
-    """Name made from the levels, which the participant never sees."""
+    """Name, mostly made of the levels. The participant never sees it."""
     levels: Mapping[str, Scalar]
-    """Level of each factor, and the value of a procedure's variable, by name."""
+    """Level of each factor, and value of a procedure's variable, by the name of factor or variable."""
     changes: Mapping[str, Json]
     """The stimulus as a merge patch on the study's base configuration."""
 
@@ -53,22 +53,22 @@ class AdaptiveTrial(Protocol):
 
     @property
     def stimuli(self) -> tuple[Stimulus, ...]:
-        """The stimuli in order of presentation; the target may lack the level of the variable."""
+        """The stimuli in order of presentation. The target may have no value of the procedure's variable yet."""
 
     @property
     def procedure(self) -> str | None:
-        """Name of the run of a procedure, or None."""
+        """Name of the run of the procedure that chooses the level, or None."""
 
 
 def level_text(level: Scalar) -> str:
-    """Format a level for names of stimuli and cells: wood, 0.0016, true."""
+    """Return a level as text for the names of stimuli and cells: wood, 0.0016, true."""
     if isinstance(level, bool):
         return "true" if level else "false"
     return level if isinstance(level, str) else format(level, ".12g")
 
 
 def levels_text(levels: Mapping[str, Scalar]) -> str:
-    """Return the name of a stimulus: its levels, or "base" without any."""
+    """Return the name of a stimulus made of its levels, or "base" without levels."""
     return ", ".join(map(level_text, levels.values())) or "base"
 
 
@@ -88,7 +88,7 @@ def document_of(
 ) -> dict[str, Json]:
     """Return the configuration of a stimulus: scene and materials as plain data.
 
-    `levels` maps names of factors or of `variables` to levels. Raises InvalidError as `with_patch` and `with_value` do.
+    `levels` maps names of factors or of `variables` to levels. Raises InvalidError for unknown keys or materials.
     """
     document = with_patch(study.base, _mapping(placed(study.conditions[condition].changes, place)))
     for name, factor in study.factors.items():
@@ -119,28 +119,30 @@ def stimulus_of(
     variable: Variable | None = None,
     name: str | None = None,
 ) -> Stimulus:
-    """Make a stimulus from its levels, which may include the value of `variable`. Raises InvalidError."""
+    """Make a stimulus from its levels, which may include the value of a procedure's `variable`.
+
+    Raises InvalidError for unknown keys or materials.
+    """
     document = document_of(study, condition, levels, place, () if variable is None else (variable,))
     return Stimulus(name or levels_text(levels), dict(levels), difference(study.base, document))
 
 
 def place_of(study: Study, position: int) -> str | None:
-    """Return the name of the place of a stimulus, or None if stimuli are presented one after the other."""
+    """Return the place of the stimulus at `position`, from 0, or None if stimuli are presented one after the other."""
     return study.places[position] if study.trial.presentation == "places" and study.places else None
 
 
 def value_of(variable: Variable, level: float) -> float:
-    """Return the value of the key that a procedure varies, for a level of the procedure."""
+    """Return the value of a procedure's variable at a level: the level, or the reference plus or times the level."""
     if variable.level == "value":
         return level
     return variable.reference + level if variable.level == "added" else variable.reference * level
 
 
 def at_level(study: Study, trial: AdaptiveTrial, level: float) -> tuple[Stimulus, ...]:
-    """Return the stimuli of an adaptive trial, with the target at the level that its procedure asks for.
+    """Return the stimuli of an adaptive trial with the target at `level`, which its procedure has chosen.
 
-    The stimuli of a trial without procedure are unchanged. Raises InvalidError if the configuration does not allow the
-    value.
+    Without a procedure the stimuli are unchanged. Raises InvalidError if the configuration of a stimulus is invalid.
     """
     if trial.procedure is None:
         return trial.stimuli
@@ -171,7 +173,7 @@ def checked(study: Study, stimulus: Stimulus) -> Stimulus:
 
 
 def document_with(study: Study, stimuli: Sequence[Stimulus]) -> dict[str, Json]:
-    """Return the configuration that presents one stimulus in an interval, or several stimuli side by side."""
+    """Return the configuration (plain data) that presents one stimulus in an interval, or several side by side."""
     found: Json = dict(study.base)
     for stimulus in stimuli:
         found = merge_patch(found, dict(stimulus.changes))
@@ -182,7 +184,7 @@ def document_with(study: Study, stimuli: Sequence[Stimulus]) -> dict[str, Json]:
 def config_with(study: Study, stimuli: Sequence[Stimulus], rig: Config | None = None) -> Config:
     """Return the validated configuration that presents these stimuli together.
 
-    Servo, device and flight recorder are those of `rig`. Raises InvalidError if the configuration is invalid.
+    Servo, device and flight recorder are configured as in `rig`. Raises InvalidError if the configuration is invalid.
     """
     document = document_with(study, stimuli)
     faults = config_faults(document)
@@ -194,7 +196,7 @@ def config_with(study: Study, stimuli: Sequence[Stimulus], rig: Config | None = 
 
 
 def config_faults(document: Mapping[str, Json]) -> list[tuple[Path, str]]:
-    """Return the faults of a configuration, including unknown materials, each with its path."""
+    """Return the faults of a configuration, including unknown materials, as path and text."""
     try:
         config = Config.parsed(dict(document))
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Loading of a study from a YAML file or by the name of a shipped one, with every fault at its line."""
+"""Loads a study from a YAML file or by the name of a shipped one, and reports each fault with its line."""
 
 from __future__ import annotations
 
@@ -22,17 +22,16 @@ from hapticd.experiment.keys import Study
 __all__ = ["Study", "load_study", "study_of"]
 
 _BASE_KEY: Final = "base"
-"""Key of the study that may name another file."""
+"""Key of a study that may name another file, with scene and materials."""
 
 
 def load_study(path_or_name: str | os.PathLike[str]) -> Study:
     """Load and validate a study from a file, or by the name of a shipped one.
 
-    If the file names another file as `base`, the returned study contains scene and materials of that file, so that
-    its to_dict() needs no other file.
+    If the key `base` names another file, the returned study contains scene and materials of that file.
 
-    Raises InvalidError with file, line and key of every fault and what would be right, and HapticdError if the file
-    cannot be read.
+    Raises InvalidError with the file, line and key of every fault and a correction, and HapticdError if a file cannot
+    be read.
     """
     document = load_path(file_of(os.fspath(path_or_name), "experiments"))
     refuse_other_kinds(document, "study")
@@ -40,15 +39,15 @@ def load_study(path_or_name: str | os.PathLike[str]) -> Study:
 
 
 def study_of(data: Mapping[str, object]) -> Study:
-    """Validate a study that is a mapping. The path of a base file is relative to the current folder.
+    """Validate a study that is given as a mapping. The path of a base file is relative to the current folder.
 
-    Raises InvalidError as `load_study`.
+    Raises InvalidError with every fault, and HapticdError if a base file cannot be read.
     """
     return study_of_document(Document(plain(data)))
 
 
 def study_of_document(document: Document) -> Study:
-    """Validate a study from a document that was read. Raises InvalidError as `load_study`."""
+    """Validate a study in a YAML document. Raises InvalidError with the file, line and key of every fault."""
     data = document.data
     if not isinstance(data, dict):
         text = "is empty" if data is None else "must be a mapping"
@@ -66,7 +65,7 @@ def study_of_document(document: Document) -> Study:
 
 
 def _invalid(document: Document, faults: list[Fault], base: Document | None) -> InvalidError:
-    """Return an error with file and line of each fault, in the study or in its base file."""
+    """Return an error with file and line of each fault, which is in the study or in its base file."""
     if base is None:
         return InvalidError(document.problem(path, text) for path, text in faults)
     return InvalidError(
@@ -76,7 +75,7 @@ def _invalid(document: Document, faults: list[Fault], base: Document | None) -> 
 
 
 def _with_base(document: Document, data: dict[str, Json]) -> tuple[dict[str, Json], Document | None]:
-    """Replace the name of a base file by its scene and materials. Returns the data, and the base file or None."""
+    """Return a study's data with a base file's name replaced by its content, and the base file or None."""
     given = data.get(_BASE_KEY)
     source: Document | None = None
     if isinstance(given, str):
@@ -100,13 +99,13 @@ def _with_base(document: Document, data: dict[str, Json]) -> tuple[dict[str, Jso
 
 
 def _path(where: str) -> Path:
-    """Convert `materials.NAME`, the place in an error of `expanded`, to a path."""
+    """Convert `materials.NAME`, the place of an error in a configuration, to a path of keys."""
     section, _, name = where.partition(".")
     return section, name.strip('"')
 
 
 def _base_file(document: Document, name: str) -> Document:
-    """Load the base, a study's scene and materials, from a file in the study's folder, or a shipped scene."""
+    """Load the base of a study, scene and materials, from a file in the study's folder or a shipped scene."""
     neighbor = FilePath(document.name or "").parent / name
     source = load_path(neighbor if neighbor.is_file() else file_of(name, "scenes"))
     refuse_other_kinds(source, "change", "scene", "bare scene", "materials")

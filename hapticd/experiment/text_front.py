@@ -1,8 +1,8 @@
-"""The front of `--text`: participant and experimenter at one terminal.
+"""The front (user interface) of `--text`: participant and experimenter at one terminal.
 
 An answer is chosen by its key in the study, or by its number. A line that begins with a colon is a command of the
-experimenter: `:pause`, `:repeat`, `:note TEXT`, `:abort`. Escape aborts the session, as `:abort` does. If the input is
-not a terminal, each line is one key.
+experimenter: `:pause`, `:repeat`, `:note TEXT`, `:abort`. Escape aborts the session like `:abort`. If the input is not
+a terminal, each line counts as one key.
 """
 
 from __future__ import annotations
@@ -26,22 +26,27 @@ from rich.markdown import Markdown
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.front import CLEARANCE_POLL_S, Choice, Command, CommandKind, Reply, Shown, Watched
+from hapticd.experiment.front import (
+    CLEARANCE_POLL_S,
+    COMMAND_KINDS,
+    STAGE_CHECK_INTERVAL_S,
+    Choice,
+    Command,
+    Reply,
+    Shown,
+    Watched,
+)
 from hapticd.experiment.replies import typed_reply
 from hapticd.experiment.stage import Stage
 
-STAGE_CHECK_PERIOD_S: Final = 0.5
-"""Time between two checks that the forces are still on (`Stage.check`), while waiting for input."""
-EXPERIMENTER_COMMANDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
-"""Commands that can follow a colon."""
 _TERMINAL_SEQUENCES: Final = {"\x1b[A": "up", "\x1b[B": "down", "\x1b[C": "right", "\x1b[D": "left", " ": "space"}
-"""Names of keys by the characters that a terminal sends."""
+"""The characters that a terminal sends for a key, and the name of the key."""
 _ESCAPE_KEY: Final = "escape"
 _ENTER_KEY: Final = "enter"
 
 
 class Keys:
-    """Keys from a terminal, or lines from another input."""
+    """Reads keys from a terminal, or lines from another input."""
 
     def __init__(self, stream: TextIO) -> None:
         self._fd = stream.fileno()
@@ -52,7 +57,7 @@ class Keys:
 
     @contextmanager
     def single(self) -> Iterator[None]:
-        """Read keys one by one and without echo while the context lasts."""
+        """Set the terminal, while the context lasts, to report keys one by one and without echo."""
         if not self._terminal:
             yield
             return
@@ -66,18 +71,18 @@ class Keys:
     def read(self, timeout_s: float) -> str | None:
         """Return the next key, or None after the timeout.
 
-        A key of a terminal is a character or a name such as `left`. Of another input it is the next line. Raises
+        From a terminal, a key is a character or a name such as `left`; from another input, it is a line. Raises
         HapticdError at the end of the input.
         """
         return self._await(self._key if self._terminal else self._line, timeout_s)
 
     def line(self, timeout_s: float, begun: str = "") -> str | None:
-        """Return the next line, which starts with `begun`, or None if it is incomplete after the timeout."""
+        """Return the next line, or None if it is incomplete after the timeout. `begun` was already read of the line."""
         self._pending = begun + self._pending
         return self._await(self._line, timeout_s)
 
     def _await(self, parse: Callable[[], str | None], timeout_s: float) -> str | None:
-        """Read input until `parse` returns a text from it. Returns that text, or None after the timeout."""
+        """Read input until `parse` returns a text, and return this text, or None after the timeout."""
         deadline = time.monotonic() + timeout_s
         while (found := parse()) is None:
             if self._ended:
@@ -114,7 +119,7 @@ class Keys:
 
 
 class TextFront:
-    """Participant and experimenter at one terminal; see `Front` for the methods."""
+    """The user interface of participant and experimenter at one terminal; see `Front` for the methods."""
 
     def __init__(self, source: TextIO | None = None, out: TextIO | None = None) -> None:
         self._keys = Keys(source or sys.stdin)
@@ -124,7 +129,7 @@ class TextFront:
         self._console = Console(file=self._out, highlight=False)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
-        """Print title, instructions and progress, and wait for Enter."""
+        """Print title, instructions and progress of a session, and wait for Enter."""
         self._say(f"{title}\n")
         self._say_markdown(instructions)
         self._say(f"{done} of {'at most ' if at_most else ''}{wording.count(total, 'trial')} done.")
@@ -142,7 +147,7 @@ class TextFront:
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
         """Print the number of the trial, and wait for Enter."""
-        # Names of stimuli are for the experimenter only. The participant could read them at this terminal.
+        # The names of stimuli are not printed, as the participant could read them at this terminal.
         again = f", attempt {watched.attempt}" if watched.attempt > 1 else ""
         total = f"at most {shown.total}" if shown.at_most else f"{shown.total}"
         self._say(f"\nTrial {shown.number} of {total}{again}. {watched.answered} answered.")
@@ -153,14 +158,14 @@ class TextFront:
         self._say("Move the stylus away from all surfaces. Then the forces are switched on.")
         with self._keys.single():
             while not stage.is_clear():
-                # The stage is not checked here: a fault stays latched until the forces are switched on.
+                # `stage.check` is not called: if a fault persists, `enable` raises an error.
                 typed = self._next(None, time.monotonic() + CLEARANCE_POLL_S)
                 if isinstance(typed, Command):
                     return typed
         return None
 
     def may_enable(self) -> Command | None:
-        """Return None, since commands are only read while this front waits for input."""
+        """Return None: at a terminal, commands are only read while the front waits for input."""
         return None
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
@@ -192,10 +197,10 @@ class TextFront:
         self._say(f"{why} Trial {trial} begins again.")
 
     def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
-        """Print nothing, since the participant would read it at this terminal."""
+        """Print nothing: the participant could read the answer's result at this terminal."""
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """Print the text of a break, and wait for its end and for Enter."""
+        """Print the text of a break, and wait for Enter after at least `least_s` seconds."""
         self._say("")
         self._say_markdown(text or "A break.")
         ends = time.monotonic() + least_s
@@ -210,7 +215,7 @@ class TextFront:
         """Print that the session is paused, and wait for Enter."""
         return self._wait_for_enter("\nPaused, the forces are off. Press Enter to continue.")
 
-    def tell(self, line: str) -> None:
+    def show_line(self, line: str) -> None:
         """Print one line for the experimenter."""
         self._say(line)
 
@@ -263,10 +268,10 @@ class TextFront:
         return Reply(None, timed_out=True)
 
     def _next(self, stage: Stage | None, deadline: float, lines: bool = False) -> str | Command | None:
-        """Return the next key, line or command, or None at the deadline. Calls `stage.check` meanwhile."""
+        """Return the next key, line or command, or None at the deadline. While it waits, it calls `stage.check`."""
         while (left_s := deadline - time.monotonic()) > 0:
             read: Callable[[float], str | None] = self._keys.line if lines else self._keys.read
-            typed = read(min(STAGE_CHECK_PERIOD_S, left_s))
+            typed = read(min(STAGE_CHECK_INTERVAL_S, left_s))
             if typed is None:
                 if stage is not None:
                     stage.check()
@@ -283,14 +288,14 @@ class TextFront:
     def _command(self, begun: str) -> Command | None:
         line: str | None = begun
         if begun == ":":
-            # On a terminal the rest of the line is still being typed. The stage is not checked until it is complete.
+            # On a terminal the rest of the line is still being typed. Until Enter, `stage.check` is not called.
             self._say(":")
             line = None
             while line is None:
-                line = self._keys.line(STAGE_CHECK_PERIOD_S, "")
+                line = self._keys.line(STAGE_CHECK_INTERVAL_S, "")
             line = ":" + line
         word, _, text = cast(str, line)[1:].strip().partition(" ")
-        for kind in EXPERIMENTER_COMMANDS:
+        for kind in COMMAND_KINDS:
             if word == kind:
                 return Command(kind, text.strip())
         self._say(f":{word}: unknown command; must be :pause, :repeat, :note TEXT or :abort")
@@ -303,4 +308,4 @@ _INPUT_HINTS: Final[dict[str, Callable[[Shown], str]]] = {
     "number": lambda shown: "Type a number, then Enter.",
     "text": lambda shown: "Type a text, then Enter.",
 }
-"""Instruction for the input, by kind of question with a typed answer."""
+"""Functions that return the instruction for typing an answer, by kind of question."""

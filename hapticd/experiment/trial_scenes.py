@@ -1,4 +1,4 @@
-"""The configurations that display the stimuli of a trial, and the surfaces that a participant sees."""
+"""The configurations that present the stimuli of a trial, and the surfaces that a participant sees."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from hapticd.rendering.joystick import target_of
 
 
 def configurations(study: Study, stimuli: Sequence[Stimulus], rig: Config | None = None) -> tuple[Config, ...]:
-    """Return the configurations for the stimuli of a trial: one per interval, or a single one if they are side by side.
+    """Return the configurations that present the stimuli of a trial: one per interval, or one if they are side by side.
 
-    Servo and device are those of `rig`. Raises InvalidError if a configuration is invalid.
+    Servo and device are configured as in `rig`. Raises InvalidError if a configuration is invalid.
     """
     if study.trial.presentation == "places":
         return (config_with(study, stimuli, rig),)
@@ -26,8 +26,9 @@ def configurations(study: Study, stimuli: Sequence[Stimulus], rig: Config | None
 def seen(study: Study, configs: Sequence[Config], stimuli: int) -> tuple[Seen, ...]:
     """Return the surface of each stimulus, in the order of presentation, without its material.
 
-    Surfaces side by side are the objects or patches named as the study's places. If there are too few, all objects that
-    can be touched are used, from left to right. Raises HapticdError if a stimulus has no surface.
+    Stimuli side by side have the surfaces of the objects named like the study's places, or of the patches whose
+    material has such a name. If these are too few, the surfaces of all objects are used, from left to right. Raises
+    HapticdError if a stimulus has no surface.
     """
     if study.trial.presentation == "places":
         found = list(_surfaces(configs[0]))
@@ -39,15 +40,15 @@ def seen(study: Study, configs: Sequence[Config], stimuli: int) -> tuple[Seen, .
 
 
 def membranes(config: Config) -> tuple[Seen, ...]:
-    """Return the surface of each membrane at rest."""
+    """Return the surface of each membrane of a configuration, at rest."""
     found = [target_of(item, config.materials) for item in config.scene.objects.values() if isinstance(item, Membrane)]
     return tuple(Seen(each.point_m, each.normal, each.half_m) for each in found if each is not None)
 
 
 def _surfaces(config: Config) -> Iterator[tuple[str, Seen]]:
-    """Yield the surface of each object that can be touched, with its id.
+    """Yield the id and the surface of each object that can be touched.
 
-    A wall with patches yields each patch instead, with the name of its material.
+    For a wall with patches, yield the material's name and the surface of each patch instead.
     """
     for id, item in config.scene.objects.items():
         target = target_of(item, config.materials)

@@ -1,4 +1,4 @@
-"""Tables of answers as sessions write them, of participants whose answers are drawn by a known rule."""
+"""Tables of answers as sessions write them. A known rule draws the participants' answers."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ ANSWERS = [{"name": f"answer_{means}", "label": means, "means": means} for means
 def write_session(
     root: Path, participant: str, task: str, study: Mapping[str, object], rows: Iterable[Mapping[str, object]]
 ) -> Path:
-    """A session's folder as the runner leaves it, with the rows that are given; what they lack is n/a."""
+    """Write the folder of a session as the runner does, with the given rows. Missing cells are n/a."""
     folder = root / f"sub-{participant}" / "ses-01"
     (folder / "beh").mkdir(parents=True)
     (folder / "study.yaml").write_text(yaml_text(dict(study)))  # type: ignore[arg-type]
     lines = ["\t".join(COLUMNS)]
     for number, row in enumerate(rows):
-        whole = {
+        filled = {
             **{"onset": number, "duration": 1, "participant": participant, "session": 1, "phase": "test", "block": 0},
             **{"trial": number, "repetition": 0, "question": "q"},
             **row,
         }
-        lines.append("\t".join(str(whole.get(name, "n/a")) for name in COLUMNS))
+        lines.append("\t".join(str(filled.get(name, "n/a")) for name in COLUMNS))
     (folder / "beh" / f"sub-{participant}_ses-01_task-{task}_beh.tsv").write_text("\n".join(lines) + "\n")
     return folder
 
 
 def tapping(root: Path, people: Sequence[str]) -> None:
-    """Paired comparisons of seven materials: the further apart in their order, the surer the answer."""
+    """Write paired comparisons of seven materials: answers are surer the larger the difference in rank."""
     study = {
         "experiment": 1,
         "title": "Which of two surfaces is stiffer?",
@@ -74,7 +74,7 @@ def tapping(root: Path, people: Sequence[str]) -> None:
 
 
 def puncture(root: Path, people: Sequence[str]) -> None:
-    """Overtravel is less with vibration by 1 mm; the session begins without it."""
+    """Write a motor study: overtravel is 1 mm less with vibration. The sessions begin without vibration."""
     study = {
         "experiment": 1,
         "title": "Puncture a membrane and stop",
@@ -98,7 +98,7 @@ def puncture(root: Path, people: Sequence[str]) -> None:
 
 
 def frequency(root: Path, people: Sequence[str], threshold: float = 40.0) -> None:
-    """A Weibull observer of two intervals, at levels on a logarithmic axis."""
+    """Write the answers of a Weibull observer in two intervals, at levels on a logarithmic axis."""
     variable = {"name": "frequency_hz", "at": "materials.surface.tap.frequency_hz", "reference": 200, "level": "added"}
     procedure = {"variable": variable, "method": {"kind": "constant_stimuli", "axis": "logarithmic"}}
     study = {
@@ -124,7 +124,7 @@ def frequency(root: Path, people: Sequence[str], threshold: float = 40.0) -> Non
 def staircases(
     root: Path, people: Sequence[str], thresholds: Mapping[str, float], harder: str = "lower", highest: float = 90.0
 ) -> None:
-    """Two procedures of one variable in each cell of a factor, where the observer has a threshold of its own."""
+    """Write two procedures of one variable in each cell of a factor. The observer's threshold depends on the cell."""
     variable = {"name": "stiffness_n_per_m", "at": "materials.tested.stiffness_n_per_m", "reference": 400}
     made = {
         "variable": {**variable, "level": "added"},
@@ -154,7 +154,7 @@ def staircases(
 
 
 def identification(root: Path, people: Sequence[str]) -> None:
-    """Seven materials by letters; every fourth answer is the next letter."""
+    """Write identifications of seven materials, named by letters. Every fourth answer is the next letter."""
     letters = "ABCDEFG"
     study = {
         "experiment": 1,
@@ -184,7 +184,7 @@ def identification(root: Path, people: Sequence[str]) -> None:
 
 
 def rating(root: Path, people: Sequence[str]) -> None:
-    """Ratings of two cells: participant k says 10 k and 20 k."""
+    """Write ratings of two cells: the answers of participant k are 10 k and 20 k."""
     study = {"experiment": 1, "title": "How real does it feel?", "trial": {"type": "rating"}}
     for number, person in enumerate(people, 1):
         rows = [

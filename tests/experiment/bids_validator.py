@@ -1,4 +1,4 @@
-"""The validator of BIDS data sets, of a pinned version, which is fetched once into build/."""
+"""The validator of BIDS data sets, in a pinned version, which is downloaded once into build/."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import pytest
 
 PACKAGE: Final = "bids-validator-deno"
 VERSION: Final = "3.0.2"
-"""It holds its schema, so that a run needs no network."""
+"""A version that contains the schema and needs no network."""
 _KEPT: Final = Path(__file__).parents[2] / "build" / f"{PACKAGE}-{VERSION}"
 _FETCH_S: Final = 300
 _RUN_S: Final = 120
 
 
 def issues_of(data_set: Path) -> list[dict[str, Any]]:
-    """What the validator says of a data set, errors and warnings. Skips the test where it cannot be fetched."""
+    """Return the errors and warnings of the validator for a data set. Skips the test if it cannot be downloaded."""
     run = subprocess.run(
         [sys.executable, "-c", "from bids_validator_deno import cli; cli()", "--json", str(data_set)],
         env={**os.environ, "PYTHONPATH": str(_fetched())},
@@ -36,7 +36,7 @@ def issues_of(data_set: Path) -> list[dict[str, Any]]:
 
 
 def _fetched() -> Path:
-    """The folder that the validator is installed in."""
+    """Return the folder in which the validator is installed."""
     if not _KEPT.is_dir():
         part = _KEPT.with_name(f"{_KEPT.name}.{os.getpid()}.part")
         install = ["install", "--quiet", "--target", str(part), f"{PACKAGE}=={VERSION}"]
@@ -46,7 +46,7 @@ def _fetched() -> Path:
             )
         except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
             shutil.rmtree(part, ignore_errors=True)
-            said = str(error.stderr or error).strip().splitlines()
-            pytest.skip(f"{PACKAGE} {VERSION} cannot be fetched from PyPI: {said[-1]}")
+            output = str(error.stderr or error).strip().splitlines()
+            pytest.skip(f"{PACKAGE} {VERSION} cannot be fetched from PyPI: {output[-1]}")
         part.rename(_KEPT)
     return _KEPT

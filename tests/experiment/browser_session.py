@@ -1,4 +1,4 @@
-"""Both pages of a session in a browser, and what participant and experimenter do there."""
+"""Both pages of a session in a browser, and the actions of participant and experimenter."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TOUCHES = """([index, beyond_m]) => {
 
 
 class Session:
-    """The command, and both of its pages, each in a browser profile of its own."""
+    """The command, and its two pages, each in a separate browser profile."""
 
     def __init__(self, browser: Browser, running: Running) -> None:
         self.running, self.errors = running, list[str]()
@@ -68,12 +68,12 @@ class Session:
     # ---- What people do ----------------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Past the instructions; the experimenter has trials begin by themselves."""
+        """Continue after the instructions. The experimenter lets trials begin automatically."""
         self.experimenter.click("#session-go-on")
         self.experimenter.check("#session-auto")
 
     def next_question(self) -> dict[str, object]:
-        """The screen of the next question; what is to be read before it is left."""
+        """Return the screen of the next question. Texts before it are continued."""
         while True:
             kind = self.participant.evaluate(_NEXT)
             if kind != "read":
@@ -83,13 +83,12 @@ class Session:
             self.participant.wait_for_function(f"() => participant.screen.screen > {number}")
 
     def press_on(self, surface: int, depth_m: float, beyond_m: float = 0.0) -> None:
-        """The mouse takes the hand down onto a surface and `depth_m` below it, and back once the stylus is drawn on it
-        or `beyond_m` below it."""
+        """Press `depth_m` below a surface with the mouse, and withdraw when the stylus is drawn `beyond_m` below it."""
         over, below = self.places(surface, depth_m)
         self.participant.mouse.move(*over)
         self.participant.mouse.down()
         for step in range(1, STEPS + 1):
-            # As fast as a hand: a step a frame. What is faster is a jump, which no surface is met by.
+            # One step per frame, as fast as a hand. A faster motion is a jump, which touches no surface.
             self.participant.evaluate("() => new Promise(requestAnimationFrame)")
             self.participant.mouse.move(over[0], over[1] + step / STEPS * (below[1] - over[1]))
         self.touches(surface, beyond_m)
@@ -97,12 +96,12 @@ class Session:
         self.participant.mouse.up()
 
     def places(self, surface: int, depth_m: float) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Where the mouse is 1 cm above a surface, and `depth_m` below it."""
+        """Return the mouse positions 1 cm above a surface, and `depth_m` below it."""
         over, below = self.participant.evaluate(_PLACES, [surface, depth_m])
         return over, below
 
     def touches(self, surface: int, beyond_m: float = 0.0) -> None:
-        """Waits until the stylus is drawn on a surface, or `beyond_m` below it."""
+        """Wait until the stylus is drawn on a surface, or `beyond_m` below it."""
         self.participant.wait_for_function(_TOUCHES, arg=[surface, beyond_m])
 
     def answer(self, key: str) -> None:

@@ -1,6 +1,6 @@
 """`hapticd experiment run` or `resume` in a process, and both of its pages played by a script without a browser.
 
-The script keeps every message that the participant's page got: what stands there is all that a participant could find.
+The script keeps every message to the participant's page. They are all that a participant could find out.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ SESSION = Path("sub-P07/ses-01")
 
 BEAT_S = 0.5
 SERVO = "servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n"
-"""A configuration that needs no real-time rights, and whose missed periods are no news."""
+"""A configuration that needs no real-time rights, and whose missed periods are not reported."""
 
 
 class Running:
-    """The command in a process, and the addresses that it printed."""
+    """The command in a process, with the addresses that it printed."""
 
     def __init__(self, *arguments: str) -> None:
         self.process = subprocess.Popen(
@@ -42,7 +42,7 @@ class Running:
         self.links = self.read_links()
 
     def read_links(self) -> dict[str, str]:
-        """The next two addresses that it prints, by page."""
+        """Read the next two addresses that the command prints, and return them by page."""
         assert self.process.stdout is not None and self.process.stderr is not None
         links: dict[str, str] = {}
         while len(links) < 2:
@@ -54,9 +54,9 @@ class Running:
         return links
 
     def ended(self) -> tuple[int, str, str]:
-        """Exit code, and what it said from then on."""
-        out, said = self.process.communicate(timeout=PATIENCE_S)
-        return self.process.returncode, out, said
+        """Wait for the end. Return the exit code, and the output since the previous read."""
+        out, errors = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, out, errors
 
     def stop(self) -> None:
         if self.process.poll() is None:
@@ -65,7 +65,7 @@ class Running:
 
 
 class Page:
-    """A page that beats, and answers what it is shown."""
+    """A page that sends heartbeats, and answers the questions that it receives."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse, heard: Callable[[Page, Any], Any]) -> None:
         self.socket, self._heard = socket, heard
@@ -79,19 +79,19 @@ class Page:
         await self.socket.send_bytes(msgpack.packb(body))
 
     async def run(self, beat: str) -> None:
-        """Until the server closes it, or dies."""
+        """Run until the server closes the page, or dies."""
         beating = asyncio.create_task(self._beat(beat))
         try:
             async for message in self.socket:
                 assert message.type is aiohttp.WSMsgType.BINARY, message
                 self.messages.append(message.data)
-                told = msgpack.unpackb(message.data)
-                if isinstance(told, dict) and "error" in told:
-                    self.refused.append(told["error"])
+                content = msgpack.unpackb(message.data)
+                if isinstance(content, dict) and "error" in content:
+                    self.refused.append(content["error"])
                     continue
-                await self._heard(self, told)
+                await self._heard(self, content)
         except ConnectionError:
-            pass  # the server was killed, which is what these tests are for
+            pass  # the server was killed, as these tests intend
         finally:
             beating.cancel()
             await asyncio.gather(beating, return_exceptions=True)
@@ -103,7 +103,7 @@ class Page:
 
 
 class Visitor:
-    """A browser that was let in by an address with a token: it may open the page as often as it likes."""
+    """A browser that opened an address with a token. It may open the page again as often as it likes."""
 
     def __init__(self, session: aiohttp.ClientSession, origin: str) -> None:
         self._session, self._origin = session, origin
@@ -124,13 +124,13 @@ async def visitor(link: str) -> AsyncIterator[Visitor]:
 
 @asynccontextmanager
 async def page(link: str, heard: Callable[[Page, Any], Any]) -> AsyncIterator[Page]:
-    """A page of an address with a token."""
+    """Return the page at an address with a token."""
     async with visitor(link) as browser, browser.page(heard) as opened:
         yield opened
 
 
 def answer_of(question: dict[str, Any], stimuli: int) -> Any:
-    """An answer of the right form to a question."""
+    """Return a valid answer to a question."""
     match question["kind"]:
         case "choice":
             return 0
@@ -147,9 +147,9 @@ def answer_of(question: dict[str, Any], stimuli: int) -> Any:
 class Script:
     """Both pages: the participant answers each question once, the experimenter lets every trial begin."""
 
-    def __init__(self, most: int | None = None) -> None:
-        """`most`: so many answers, then the participant presses the stop."""
-        self.most = most
+    def __init__(self, max_answers: int | None = None) -> None:
+        """Prepare both pages. After `most` answers the participant presses the stop."""
+        self.max_answers = max_answers
         self.answers = 0
         self.screens: list[dict[str, Any]] = []
         self.consoles: list[dict[str, Any]] = []
@@ -157,37 +157,37 @@ class Script:
         self.experimenter: Page | None = None
 
     async def play(self, links: dict[str, str]) -> None:
-        """Until the session ends or its process dies."""
+        """Play both pages until the session ends or its process dies."""
         async with visitor(links["experimenter"]) as one, visitor(links["participant"]) as other:
             await asyncio.gather(self.experimenter_page(one), self.participant_page(other))
 
     async def experimenter_page(self, browser: Visitor) -> None:
-        """Until it is closed."""
+        """Play the experimenter's page until it is closed."""
         async with browser.page(self._experimenter) as self.experimenter:
             await self.experimenter.call("experiment.watch", since=0)
             await self.experimenter.run("experiment.beat")
 
     async def participant_page(self, browser: Visitor) -> None:
-        """Until it is closed."""
+        """Play the participant's page until it is closed."""
         async with browser.page(self._participant) as self.participant:
             await self.participant.call("participant.screen")
             await self.participant.run("participant.beat")
 
     async def withdraw(self, page: Page) -> None:
-        """Its hand is nowhere that it would have to leave."""
+        """Do nothing: the hand is outside of all surfaces."""
         raise AssertionError("the hand is inside something")
 
     async def answer(self, page: Page, screen: dict[str, Any]) -> None:
-        """Feels nothing, and answers at once."""
+        """Answer immediately, without feeling anything."""
         answer = answer_of(screen["question"], screen["stimuli"])
         await page.call("participant.answer", screen=screen["screen"], answer=answer)
 
-    async def _participant(self, page: Page, told: Any) -> None:
+    async def _participant(self, page: Page, content: Any) -> None:
         screen = None
-        if isinstance(told, dict) and isinstance(told["result"], dict):
-            screen = told["result"].get("screen")
-        elif isinstance(told, list) and told[0] == "web":
-            screen = told[1].get("screen")
+        if isinstance(content, dict) and isinstance(content["result"], dict):
+            screen = content["result"].get("screen")
+        elif isinstance(content, list) and content[0] == "web":
+            screen = content[1].get("screen")
         if screen is None or (self.screens and screen["screen"] <= self.screens[-1]["screen"]):
             return
         self.screens.append(screen)
@@ -197,16 +197,16 @@ class Script:
         if screen["kind"] == "trial" and screen["felt"]:
             if screen["question"] is None:
                 await page.call("participant.go_on", screen=number)
-            elif self.most is not None and self.answers >= self.most:
+            elif self.max_answers is not None and self.answers >= self.max_answers:
                 await page.call("participant.stop")
             else:
                 self.answers += 1
                 await self.answer(page, screen)
 
-    async def _experimenter(self, page: Page, told: Any) -> None:
-        state = told[1].get("experiment") if isinstance(told, list) and told[0] == "web" else None
-        if isinstance(told, dict) and isinstance(told["result"], dict) and "doing" in told["result"]:
-            state = told["result"]
+    async def _experimenter(self, page: Page, content: Any) -> None:
+        state = content[1].get("experiment") if isinstance(content, list) and content[0] == "web" else None
+        if isinstance(content, dict) and isinstance(content["result"], dict) and "doing" in content["result"]:
+            state = content["result"]
         if state is None:
             return
         before = self.consoles[-1] if self.consoles else None
@@ -219,17 +219,16 @@ class Script:
 
 
 def log_of(root: Path) -> tuple[Record, ...]:
-    """The records of P07's first session under a data set's folder, without a line that is just being written; none
-    before there is a log."""
+    """Return the records of P07's first session in a data set, without an incomplete line; none without a log."""
     path = root / SESSION / "log.jsonl"
     return read_log(path).records if path.exists() else ()
 
 
 def answered(root: Path) -> list[object]:
-    """The indices of the trials that were answered, in the order of the answers."""
+    """Return the indices of the answered trials, in the order of the answers."""
     return [record["trial"] for record in log_of(root) if record["kind"] == "answer"]
 
 
 def run_study(folder: Path, study: str, *more: str) -> tuple[str, ...]:
-    """The words of a command that runs a study with its pages."""
+    """Return the arguments of the command that runs a study with its pages."""
     return ("experiment", "run", study, "--participant", "P07", "--port", "0", "-o", str(folder), *more)

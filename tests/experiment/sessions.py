@@ -1,4 +1,4 @@
-"""A small study, a stage that notes what is done to it, and a front that answers from a script."""
+"""A small study, a stage that records the calls of its methods, and a front that answers from a script."""
 
 from __future__ import annotations
 
@@ -112,14 +112,14 @@ STAIRCASE: dict[str, Any] = {
 
 
 class NotedStage:
-    """Notes what is done to it; `fails` is called with the name of each thing that is done."""
+    """A stage that records the calls of its methods. `fails` is called with the name of each method."""
 
     def __init__(self, fails: Callable[[str], None] = lambda done: None) -> None:
         self.done: list[str] = []
         self.configs: list[Any] = []
         self.marks: list[tuple[str, Any]] = []
         self.clear: list[bool] = []
-        """Whether the handle is out of everything, each time that it is asked for; then always."""
+        """Results of the next calls of `is_clear`. Later calls return True."""
         self._fails = fails
 
     def _do(self, what: str) -> None:
@@ -166,15 +166,15 @@ class NotedStage:
 
 
 class ScriptedFront:
-    """Answers with what `answers` gives for each trial, counted over all runs; commands come from `commands`."""
+    """A front that answers with `answers` for each trial, counted over all runs; `commands` has its commands."""
 
     def __init__(self, answers: Callable[[Shown], str] = lambda shown: shown.answers[0].name) -> None:
         self.answers = answers
         self.commands: dict[str, list[Command]] = {}
-        """By the name of the method that is to give them."""
+        """The commands that the methods of the front return, by name of the method."""
         self.watched: list[Watched] = []
         self.shown: list[Shown] = []
-        self.told: list[str] = []
+        self.lines: list[str] = []
         self.feedbacks: list[str] = []
         self.asked: list[str] = []
         self.answers_on_disk: list[tuple[int, Any, bool | None]] = []
@@ -204,9 +204,9 @@ class ScriptedFront:
         return self._command("explore")
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
-        said = self._command("ask")
-        if said is not None:
-            return said
+        interruption = self._command("ask")
+        if interruption is not None:
+            return interruption
         self.shown.append(shown)
         return Reply(self.answers(shown))
 
@@ -226,8 +226,8 @@ class ScriptedFront:
     def paused(self) -> Command | None:
         return self._command("paused")
 
-    def tell(self, line: str) -> None:
-        self.told.append(line)
+    def show_line(self, line: str) -> None:
+        self.lines.append(line)
 
 
 def planned(document: Mapping[str, Any] = STUDY, seed: int = 3, participant: str = "P07") -> Plan:
@@ -235,14 +235,14 @@ def planned(document: Mapping[str, Any] = STUDY, seed: int = 3, participant: str
 
 
 def started(root: Path, stage: Stage, front: Any, document: Mapping[str, Any] = STUDY, seed: int = 3) -> Session:
-    """A session that begins."""
+    """Return a new session."""
     made = planned(document, seed)
     folder, log = begin(root, b"# the study\n", made, stage.describe())
     return _session(folder, log, made, stage, front)
 
 
 def resumed(path: Path, stage: Stage, front: Any) -> Session:
-    """A session that goes on."""
+    """Return a session that continues."""
     folder = SessionFolder.open(path)
     return _session(folder, folder.log(), plan_of(folder), stage, front)
 

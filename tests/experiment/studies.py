@@ -1,4 +1,4 @@
-"""Studies that tests begin from, as text: one of each kind, all sound."""
+"""Valid studies, one of each kind, as text for tests to change."""
 
 from __future__ import annotations
 

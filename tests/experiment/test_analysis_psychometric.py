@@ -1,4 +1,4 @@
-"""Psychometric fits against simulated observers, psignifit, and scipy's own search."""
+"""Psychometric fits compared with simulated observers, psignifit and scipy's search."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_weibull_function_is_one_of_the_level() -> None:
 
 @pytest.mark.parametrize("shape", PSYCHOMETRIC_SHAPES)
 def test_a_fit_is_as_probable_as_scipys(shape: Shape) -> None:
-    """The same likelihood, written out, maximised by Nelder and Mead."""
+    """The reference is the same likelihood, written out, and maximized by Nelder and Mead."""
     generator = np.random.Generator(np.random.PCG64(1))
     levels = np.geomspace(40, 250, 8)
     trials = np.full(8, 50)
@@ -70,7 +70,7 @@ def test_a_fit_is_as_probable_as_scipys(shape: Shape) -> None:
 
 
 def test_figures_of_proportions_without_noise() -> None:
-    """Answers as a function has them exactly give back that function: PSE, JND and Weber fraction in closed form."""
+    """Expected proportions of a function give exactly its PSE, JND and Weber fraction."""
     trials = np.full(7, 1_000_000)
     positive = logistic(LEVELS, 104.0, 0.12) * trials
     found = fit(LEVELS, positive, trials, lapse=0.0, standard=100.0).figures
@@ -86,7 +86,7 @@ def test_figures_of_proportions_without_noise() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lapse", [0.02, None])
 def test_a_thousand_observers(lapse: float | None) -> None:
-    """Bias of the threshold at most 5 %; 95 % bootstrap intervals cover 93 to 97 %."""
+    """The bias of the threshold is at most 5 %, and 95 % bootstrap intervals cover 93 to 97 %."""
     generator = np.random.Generator(np.random.PCG64(7))
     trials = np.full(7, 40)
     errors, covered = [], 0
@@ -102,7 +102,7 @@ def test_a_thousand_observers(lapse: float | None) -> None:
 
 @pytest.mark.slow
 def test_fits_agree_with_psignifits() -> None:
-    """Twenty data sets of two kinds: our threshold and width lie in psignifit's 95 % intervals."""
+    """Threshold and width of twenty data sets of two kinds are within psignifit's 95 % intervals."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         reference = pytest.importorskip("psignifit")
@@ -132,12 +132,12 @@ def test_fits_agree_with_psignifits() -> None:
 
 
 def test_percentiles_are_order_statistics() -> None:
-    """Of 199 values the 5th and the 195th: 2.5 % of 200 places lie outside on either side."""
+    """Of 199 values the 5th and the 195th: 2.5 % of 200 lie outside at each end."""
     assert percentiles(np.arange(1.0, 200.0)[::-1]) == pytest.approx((5, 195))
 
 
 def test_goodness_of_fit() -> None:
-    """Answers of the function are fitted well, and answers that go up and down are not."""
+    """Answers drawn from the function are fitted well, answers that rise and fall are not."""
     trials = np.full(7, 100)
     well = fit(LEVELS, np.round(logistic(LEVELS, 100, 0.12) * trials), trials, lapse=0.0)
     assert goodness_of_fit(well, 200) > 0.2
@@ -174,12 +174,12 @@ def test_what_cannot_be_fitted(levels: list[float], positive: list[int], trials:
     ],
 )
 def test_answers_that_determine_no_threshold(positive: list[int], expected: str | None) -> None:
-    told = fit([10, 20, 30, 40, 50], positive, [20] * 5, lapse=0.0).undetermined("N")
-    assert told is None if expected is None else told is not None and expected in told
+    reason = fit([10, 20, 30, 40, 50], positive, [20] * 5, lapse=0.0).undetermined("N")
+    assert reason is None if expected is None else reason is not None and expected in reason
 
 
 def test_constant_stimuli() -> None:
-    """Each level once a block, the same order by the same seed, and a stored run goes on as it was."""
+    """Each block has each level once; equal seeds give equal orders; a stored run continues as before."""
     given = ConstantStimuliParameters(levels=LEVELS.tolist(), repetitions=30, seed=4, lapse=0.0)
     one, twin = ConstantStimuli(given), ConstantStimuli(given)
     assert one.order == twin.order

@@ -41,7 +41,7 @@ def tapping(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_percent_correct_is_counted_as_by_hand(tapping: Path) -> None:
-    """Medians and quartiles from the files themselves, read here by csv."""
+    """Medians and quartiles from the files, read here by csv."""
     found = analyze([tapping])
     assert found.summary.startswith(
         "8 participants, 8 sessions, 448 trials of the test; 8 of practice or training and 8"
@@ -61,7 +61,7 @@ def test_percent_correct_is_counted_as_by_hand(tapping: Path) -> None:
     assert table(found, "conditions").rows[0][0] == "force_and_vibration"
 
 
-def test_pairs_stand_beside_the_papers(tapping: Path) -> None:
+def test_pairs_are_shown_next_to_the_papers(tapping: Path) -> None:
     found = analyze([tapping])
     ours, theirs = table(found, "pairs_vibration_only"), table(found, "published_pairs_vibration_only")
     assert ours.columns == theirs.columns == ("", *tables.MATERIALS)
@@ -83,7 +83,7 @@ def test_the_scale_has_the_order_of_the_materials(tapping: Path) -> None:
 
 
 def test_measures_are_compared_in_the_papers_direction(tmp_path: Path) -> None:
-    """With less without vibration, although sessions begin without."""
+    """The difference is with minus without vibration, although sessions begin without."""
     tables.puncture(tmp_path, PEOPLE)
     found = analyze([tmp_path])
     own = row(found, "comparisons", "overtravel_m")
@@ -112,8 +112,8 @@ def test_a_threshold_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("harder", ["lower", "higher"])
 def test_each_cell_has_a_threshold_of_its_own(harder: str, tmp_path: Path) -> None:
-    """Two procedures of one variable are fitted together; cells of a factor are not. Chance is that of the method, as
-    the study names no other."""
+    """Two procedures of one variable are fitted together, cells of a factor are not. The chance level is that of the
+    method, as the study has none."""
     tables.staircases(tmp_path, PEOPLE[:1], {"0.005": 30.0, "0.02": 60.0}, harder)
     found = analyze([tmp_path])
     for cell, truth in (("0.005", 30.0), ("0.02", 60.0)):
@@ -126,14 +126,14 @@ def test_each_cell_has_a_threshold_of_its_own(harder: str, tmp_path: Path) -> No
 
 
 def test_the_mean_of_the_reversals_is_that_by_hand(tmp_path: Path) -> None:
-    """Levels 10, 8, 10, 8, 10, 8: the last four of five reversals are at 10, 8, 10 and 8. An answer at 8 never came:
-    the staircase took it for a wrong one."""
+    """Levels 10, 8, 10, 8, 10, 8: the last four of five reversals are at 10, 8, 10 and 8. The answer to one trial at 8
+    is missing: the staircase counted it as wrong."""
     variable = {"name": "force_n", "at": "scene.x", "reference": 0, "level": "added"}
     method = {"kind": "staircase", "rule": "1-up-1-down", "start": 10, "least": 0, "most": 20, "steps": [2]}
-    whole = {**method, "reversals": 5, "discard": 1}
+    parameters = {**method, "reversals": 5, "discard": 1}
     study = {
         "title": "t",
-        "trial": {"type": "forced_choice", "procedures": {"down": {"variable": variable, "method": whole}}},
+        "trial": {"type": "forced_choice", "procedures": {"down": {"variable": variable, "method": parameters}}},
     }
     answers = [(10, 1, "first"), (8, 0, "first"), (10, 1, "first"), (8, 0, "n/a"), (10, 1, "first"), (8, 0, "first")]
     rows = [
@@ -159,8 +159,8 @@ def test_a_staircase_that_is_not_the_studys_has_a_note_and_no_mean(tmp_path: Pat
     tables.write_session(tmp_path, "P01", "t", study, [{**answer, "level": 10}, {**answer, "level": 8}])
     found = analyze([tmp_path])
     assert not any(each.name == "staircases" for each in found.tables)
-    (told,) = (each for each in found.notes if each.startswith("mean of reversals"))
-    assert told.endswith("_task-t_beh.tsv:2: this level is not the one that the staircase of the study shows next")
+    (note,) = (each for each in found.notes if each.startswith("mean of reversals"))
+    assert note.endswith("_task-t_beh.tsv:2: the staircase of the study would not show this level next")
 
 
 def test_sessions_without_tables_were_interrupted(tmp_path: Path) -> None:
@@ -174,17 +174,17 @@ def test_a_threshold_that_the_answers_leave_open_is_a_note_and_no_figure(tmp_pat
     tables.staircases(tmp_path, PEOPLE[:1], {"0.005": 300.0})
     found = analyze([tmp_path])
     assert not any(each.name == "psychometric" for each in found.tables)
-    (told,) = found.notes
+    (note,) = found.notes
     assert re.fullmatch(
         "psychometric function, all, 0.005, far and near, pooled: "
         "(the threshold is above the highest level, 90 N/m: levels beyond it are needed|"
         "correct answers do not become more from 15 to 90 N/m: .*)",
-        told,
+        note,
     )
     assert "Psychometric function" in report.page(found)  # the answers are drawn
 
 
-def test_a_session_that_ended_early_says_what_is_not_there(tmp_path: Path) -> None:
+def test_an_analysis_of_a_session_that_ended_early_reports_what_is_missing(tmp_path: Path) -> None:
     tables.puncture(tmp_path, PEOPLE[:1])
     for file in tmp_path.rglob("*_beh.tsv"):
         lines = file.read_text().splitlines(keepends=True)
@@ -199,7 +199,7 @@ def test_a_session_that_ended_early_says_what_is_not_there(tmp_path: Path) -> No
 
 
 def test_information_of_known_confusions(tmp_path: Path) -> None:
-    """A quarter of the answers is the next item: log2 7 - H(1/4) bits."""
+    """A quarter of the answers is the next item: the transfer is log2 7 - H(1/4) bits."""
     tables.identification(tmp_path, PEOPLE[:4])
     found = analyze([tmp_path])
     expected = math.log2(7) + 0.25 * math.log2(0.25) + 0.75 * math.log2(0.75)
@@ -215,7 +215,7 @@ def test_ratings_count_each_participant_once(tmp_path: Path) -> None:
 
 
 def test_published_tables_are_the_papers() -> None:
-    """Some cells by hand; the data file has them in three forms."""
+    """Some cells are compared with the paper. The data file has tables in three forms."""
     found = published_results("okamura1998.tapping")
     force = found.matrices["force_and_vibration"]
     assert force.percent[6].tolist() == [87.5, 87.5, 75, 25, 37.5, 25, 50]
@@ -228,14 +228,14 @@ def test_published_tables_are_the_papers() -> None:
 
 
 def test_tables_are_read_by_people() -> None:
-    """A small p is no number of its own, and texts stand on the left."""
+    """A small p value is not shown as a number, and texts are aligned left."""
     found = ResultTable("t", "T", ("condition", "p of chance", "p (t)", "participants"), (("a", 3e-9, 0.25, 8),))
     assert found.text() == [("a", "< 0.0001", "0.25", "8")]
     assert found.of_text() == (True, False, False, False)
     assert found.csv().splitlines()[1] == "a,3e-09,0.25,8"
 
 
-def test_words_of_the_tables_are_whole_at_a_narrow_terminal(tapping: Path) -> None:
+def test_words_of_the_tables_are_not_cut_at_a_narrow_terminal(tapping: Path) -> None:
     result = CliRunner().invoke(cli, ["experiment", "analyze", str(tapping)], env={"COLUMNS": "40"})
     assert result.exit_code == 0, result.output
     assert "force_and_vibration" in result.output
@@ -246,7 +246,7 @@ def test_words_of_the_tables_are_whole_at_a_narrow_terminal(tapping: Path) -> No
 
 
 class _Page(HTMLParser):
-    """Elements that are open, and what stands in table cells."""
+    """Parser that finds the open elements and the texts of table cells."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -30,7 +30,7 @@ def test_wilson_and_binomial(right: int, trials: int, chance: float) -> None:
 
 
 def test_the_binomial_test_is_exact() -> None:
-    """3 of 8 at 1/3: all outcomes that are no more probable, in fractions."""
+    """3 of 8 at 1/3: the sum over all outcomes that are not more probable, in fractions."""
     third = Fraction(1, 3)
     chances = [math.comb(8, k) * third**k * (1 - third) ** (8 - k) for k in range(9)]
     expected = sum(each for each in chances if each <= chances[6])
@@ -38,7 +38,7 @@ def test_the_binomial_test_is_exact() -> None:
 
 
 def test_wilsons_interval_covers() -> None:
-    """Exactly, over all outcomes of 40 trials: 95 % in the mean over proportions of 20 to 80 %."""
+    """Exact coverage over all outcomes of 40 trials: on average 95 % for proportions of 20 to 80 %."""
     ends = [proportion(right, 40) for right in range(41)]
     covers = []
     for truth in np.linspace(0.2, 0.8, 61):
@@ -64,7 +64,7 @@ def test_information_of_perfect_and_random_answers(count: int) -> None:
 
 @pytest.mark.parametrize("error", [0.01, 0.1, 0.4])
 def test_information_of_a_binary_symmetric_channel(error: float) -> None:
-    """1 - H(error) bits (Shannon, 1948); the bias of so many trials is 1/(2 n ln 2)."""
+    """1 - H(error) bits (Shannon, 1948). The bias of n trials is 1/(2 n ln 2)."""
     counts = 1e6 * np.array([[1 - error, error], [error, 1 - error]])
     expected = 1 + error * math.log2(error) + (1 - error) * math.log2(1 - error)
     found = information(counts)
@@ -73,13 +73,13 @@ def test_information_of_a_binary_symmetric_channel(error: float) -> None:
 
 
 def test_information_of_two_groups() -> None:
-    """Four stimuli of which pairs are confused entirely: one bit. Stimuli of unequal frequency: their entropy."""
+    """Four stimuli of which pairs are confused completely give one bit, unequal frequencies their entropy."""
     assert information(np.kron(np.eye(2), np.ones((2, 2)))).transfer == pytest.approx(1, abs=1e-12)
     assert information(np.diag([50, 25, 25])).transfer == pytest.approx(1.5, abs=1e-12)
 
 
 def test_the_bias_of_few_trials_is_removed() -> None:
-    """Answers that have nothing to do with the stimuli: 0 bits in the mean, where the counts alone say more."""
+    """Answers independent of the stimuli give on average 0 bits, while the uncorrected estimate is larger."""
     generator = np.random.Generator(np.random.PCG64(1))
     tables = generator.multinomial(20, np.full(4, 0.25), size=(1000, 4))
     found = [information(table) for table in tables]
@@ -129,7 +129,7 @@ def test_bradley_terry_is_a_logistic_regression() -> None:
 
 
 def test_bradley_terry_with_ties_is_a_log_linear_model() -> None:
-    """Davidson's model as Poisson regression with a factor for each pair (Fienberg and Larntz, Biometrika 63, 1976)."""
+    """Davidson's model is a Poisson regression with a factor for each pair (Fienberg and Larntz, 1976)."""
     wins, ties = comparisons(3, ties=True)
     found = bradley_terry(wins, ties)
     rows, answers = [], []
@@ -154,7 +154,7 @@ def test_bradley_terry_with_ties_is_a_log_linear_model() -> None:
 
 @pytest.mark.slow
 def test_bradley_terrys_intervals_cover() -> None:
-    """1,000 sets of comparisons: the scale has no bias of 5 %, and its 95 % intervals cover 93 to 97 %."""
+    """In 1,000 sets of comparisons the bias is below 5 %, and 95 % intervals cover 93 to 97 %."""
     truth = np.array([-1.0, -0.5, 0.0, 0.4, 1.1])
     truth -= truth.mean()
     found = [bradley_terry(*comparisons(seed, ties=True)).strengths for seed in range(1000)]
@@ -190,7 +190,7 @@ def test_the_noncentrality_is_that_of_scipys_distribution(t: float, freedom: int
 
 @pytest.mark.slow
 def test_intervals_of_differences_and_effects_cover() -> None:
-    """1,000 studies with eight people each, with the paper's difference and scatter of a puncture, mm."""
+    """1,000 studies with eight people, with mean and SD of the difference of the paper's puncture study, in mm."""
     generator = np.random.Generator(np.random.PCG64(5))
     differences = generator.normal(-0.161, 1.04, (1000, 8))
     found = [paired(row, np.zeros(8)) for row in differences]
@@ -206,7 +206,7 @@ def test_no_comparison(one: list[float], other: list[float]) -> None:
 
 
 def test_an_order_matrix() -> None:
-    """A pair counts in either order; the diagonal is of equal items."""
+    """Both orders of a pair are counted together. The diagonal has equal items."""
     pairs = [("a", "b"), ("b", "a"), ("c", "c"), ("a", "c")]
     found = order_matrix(pairs, [True, False, True, True], ("a", "b", "c"))
     expected = [[math.nan] * 3, [50, math.nan, math.nan], [100, math.nan, 100]]
@@ -222,7 +222,7 @@ def test_rank_correlation_of_finite_cells() -> None:
 
 
 def test_quartiles_and_ranks() -> None:
-    """Quartiles by hand (type 7), Kendall's W as the published formula has it, against scipy's Friedman statistic."""
+    """Quartiles by hand (type 7), and Kendall's W from scipy's Friedman statistic."""
     found = quartiles([1, 2, 3, 4])
     assert (found.low, found.median, found.high) == (1.75, 2.5, 3.25)
     rankings = [["a", "b", "c"], ["a", "c", "b"], ["b", "a", "c"], ["a", "b", "c"]]

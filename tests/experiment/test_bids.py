@@ -1,4 +1,4 @@
-"""The tables of a session, by the rules of BIDS."""
+"""The tables of a session, compared with the rules of BIDS."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _level(shown: Shown) -> str:
 
 @pytest.fixture
 def data_set(tmp_path: Path) -> Path:
-    """A data set of one session, with a note."""
+    """Return a data set of one session, with a note."""
     front = ScriptedFront()
     front.commands = {"ready": [Command("note", "a\tnote")]}
     started(tmp_path, NotedStage(), front).run()
@@ -113,8 +113,8 @@ def test_cells_and_labels_are_those_of_bids() -> None:
 
 @pytest.mark.slow
 def test_the_bids_validator_passes_it(tmp_path: Path) -> None:
-    """Two participants, as the command writes them, with telemetry and with a session of an adaptive study beside them
-    that was ended early. It would say if it found a fault: a table without its sidecar's column is one."""
+    """The data set has two participants with telemetry, and a session of an adaptive study that was ended early. The
+    validator does find a fault: a column that the JSON file lacks."""
     runner = CliRunner()
     people = ("--participant", "simulated:A", "--participant", "simulated:B")
     ran = runner.invoke(

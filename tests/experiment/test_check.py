@@ -43,7 +43,7 @@ def test_trials_minutes_and_breaks_are_counted() -> None:
 
 def test_breaks_between_blocks_are_counted_once_with_others() -> None:
     study = _study(PAIRS, breaks={"every_trials": 2, "between_blocks": True})
-    # After 2, 4, ..., 18 trials of the test; its second block begins after 10.
+    # After 2, 4, ..., 18 trials of the test. The second block begins after 10.
     assert breaks_of(plan(study, "P1", 1, 1)) == 9
 
 
@@ -58,10 +58,10 @@ def test_what_the_rate_cannot_carry_is_named_with_its_stimuli() -> None:
     assert check_study(_study(PAIRS), FAST).undisplayable == ()
     found = check_study(_study(PAIRS), SLOW).undisplayable
     problems = [problem for problem in found if problem.where.startswith("materials.")]
-    told = " ".join(map(str, problems))
+    text = " ".join(map(str, problems))
     # 0.4 of 1 kHz: glass (1721 Hz) and steel (1682 Hz) cannot be carried, wood (67 Hz) and acrylic (128 Hz) can.
-    assert "glass" in told and "steel" in told
-    assert "wood" not in told and "acrylic" not in told
+    assert "glass" in text and "steel" in text
+    assert "wood" not in text and "acrylic" not in text
     assert not any("Hz" in str(problem) for problem in check_study(_study(ADAPTIVE), SLOW).undisplayable)
     data = yaml.safe_load(ADAPTIVE)
     data["trial"]["procedures"]["one"]["method"]["most"] = 900
@@ -71,20 +71,20 @@ def test_what_the_rate_cannot_carry_is_named_with_its_stimuli() -> None:
 def test_names_that_tell_are_reported() -> None:
     data = yaml.safe_load(PAIRS)
     data["questions"]["stiffer"]["answers"][0]["label"] = "Steel"
-    told = check_study(study_of(data), FAST).to_look_at
-    assert [problem.where for problem in told] == ["questions.stiffer.answers[0].label"]
+    warnings = check_study(study_of(data), FAST).to_look_at
+    assert [problem.where for problem in warnings] == ["questions.stiffer.answers[0].label"]
 
 
 def test_a_staircase_that_cannot_reach_its_hardest_level_is_reported() -> None:
-    """Before the last of twenty trials are nine steps down. Each is 10 Hz, as nothing reverses."""
+    """Before the last of twenty trials are nine steps down of 10 Hz each, as there is no reversal."""
     data = yaml.safe_load(ADAPTIVE)
     method = data["trial"]["procedures"]["one"]["method"]
     method["start"], method["steps"] = 91, [10, 5]
     assert check_study(study_of(data), FAST).to_look_at == ()
     method["start"] = 92
-    (told,) = check_study(study_of(data), FAST).to_look_at
-    assert told.where == "trial.procedures.one.method.steps"
-    assert "20 trials reach only 2, not the hardest level 1;" in told.problem
+    (warning,) = check_study(study_of(data), FAST).to_look_at
+    assert warning.where == "trial.procedures.one.method.steps"
+    assert "20 trials reach only 2, not the hardest level 1;" in warning.problem
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_a_staircase_that_cannot_reach_its_hardest_level_is_reported() -> None:
         (RATING, None),
     ],
 )
-def test_what_is_correct_is_said(study: str, correct: str | None) -> None:
+def test_the_correct_answer_is_described_in_words(study: str, correct: str | None) -> None:
     assert check_study(_study(study), FAST).correct == correct
 
 
@@ -149,7 +149,7 @@ def test_participants_that_differ_spread_the_power() -> None:
 
 
 @pytest.mark.long
-def test_the_command_prints_all_of_it_and_says_by_its_code_what_cannot_be_shown(
+def test_the_command_prints_the_report_and_its_exit_code_reports_undisplayable_stimuli(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
@@ -161,10 +161,10 @@ def test_the_command_prints_all_of_it_and_says_by_its_code_what_cannot_be_shown(
     fast = tmp_path / "fast.yaml"
     fast.write_text("servo: {rate_hz: 10000}")
     assert main(["experiment", "check", str(file), "-c", str(fast)]) == 0
-    told = capsys.readouterr().out
-    assert "20 trials" in told and "10 cells of 1 trial" in told and "chance: 40 %" in told
-    assert "correct: the answer that names the stimulus with the highest material" in told
-    assert "power: " in told and "every stimulus can be displayed as written" in told
+    output = capsys.readouterr().out
+    assert "20 trials" in output and "10 cells of 1 trial" in output and "chance: 40 %" in output
+    assert "correct: the answer that names the stimulus with the highest material" in output
+    assert "power: " in output and "every stimulus can be displayed as written" in output
     assert main(["experiment", "check", str(file), "-c", str(slow)]) == 1
     assert main(["experiment", "check", str(file), "-c", str(fast), "--json"]) == 0
     capsys.readouterr()
@@ -177,8 +177,8 @@ def test_the_command_reports_a_mistake_on_one_line(tmp_path: Path, capsys: pytes
     file = tmp_path / "study.yaml"
     file.write_text(PAIRS.replace("question: stiffer", "question: stifer"))
     assert main(["experiment", "check", str(file)]) == 1
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "did you mean stiffer?" in told
+    output = capsys.readouterr().err
+    assert output.count("\n") == 1 and "did you mean stiffer?" in output
     assert main(["experiment", "check", "okamura1998_taping"]) == 1
     assert "did you mean okamura1998_tapping" in capsys.readouterr().err
 

@@ -1,4 +1,4 @@
-"""Event codes: which ones a session sends, what is in them, and what other programs read."""
+"""Event codes: which codes a session sends, their data, and what other programs read."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_codes_fit_a_trigger_line_and_the_document_has_their_table() -> None:
 
 
 def test_each_interval_has_its_number(tmp_path: Path) -> None:
-    """Trials of two intervals; the numbers are those of the table in the document."""
+    """Trials have two intervals. The numbers are those of the table in docs/experiments.md."""
     stage = NotedStage()
     assert started(tmp_path, stage, ScriptedFront(), STAIRCASE).run() == "ended"
     answered = {data["trial"] for _, data in stage.marks if data["code"] == 14}
@@ -42,7 +42,7 @@ def test_each_interval_has_its_number(tmp_path: Path) -> None:
     assert len(answered) > 1
 
 
-def test_breaks_pauses_and_repetitions_are_told(tmp_path: Path) -> None:
+def test_breaks_pauses_and_repetitions_have_codes(tmp_path: Path) -> None:
     stage, front = NotedStage(), ScriptedFront()
     front.commands = {"ask": [Command("repeat"), Command("pause")]}
     study = {**STUDY, "breaks": {"every_trials": 4}}
@@ -54,7 +54,7 @@ def test_breaks_pauses_and_repetitions_are_told(tmp_path: Path) -> None:
     assert [data["attempt"] for _, data in stage.marks if data["code"] == 10] == [1, 2, 3, 1, 1, 1, 1, 1]
 
 
-def test_a_session_that_is_left_says_so_and_one_that_goes_on_does_too(tmp_path: Path) -> None:
+def test_aborted_and_resumed_sessions_have_codes(tmp_path: Path) -> None:
     stage, front = NotedStage(), ScriptedFront()
     front.commands = {"ask": [Command("abort")]}
     assert started(tmp_path, stage, front).run() == "aborted"
@@ -81,7 +81,7 @@ def test_marks_hold_numbers_alone(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_any_client_reads_the_codes_of_a_session_on_a_daemon(tmp_path: Path) -> None:
-    """Every code of a session reaches another client in its order."""
+    """Another client receives every code of a session, in order."""
     servo = tmp_path / "servo.yaml"
     servo.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
     with (

@@ -1,4 +1,4 @@
-"""A session whose runner, daemon and pages are killed loses nothing: python -m tests.soak.kill_experiment, in short."""
+"""A session loses nothing if its runner, daemon and pages are killed: tests.soak.kill_experiment in short."""
 
 from __future__ import annotations
 

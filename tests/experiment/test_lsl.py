@@ -38,7 +38,7 @@ UNITS = ["count", "m", "m", "m/s", "m/s", "N", "N", "N", "N", "N", "N", "count",
 
 @pytest.fixture(scope="module")
 def lsl(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """pylsl, which sees streams of this machine and of this test alone."""
+    """Return pylsl, which finds only streams of this machine and this test."""
     config = tmp_path_factory.mktemp("lsl") / "lsl_api.cfg"
     config.write_text(
         "[multicast]\nResolveScope = machine\n[lab]\nKnownPeers = {127.0.0.1}\n"
@@ -48,7 +48,7 @@ def lsl(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         patch.setenv("LSLAPICFG", str(config))
         try:
             import pylsl
-        except RuntimeError as error:  # PyPI has the library for some machines alone
+        except RuntimeError as error:  # PyPI has the library only for some machines
             pytest.skip(f"no liblsl here: {error}")
         yield pylsl
 
@@ -69,7 +69,7 @@ def client(daemon: Daemon) -> Iterator[Client]:
 
 @contextmanager
 def running_lsl(daemon: Daemon) -> Iterator[subprocess.Popen[str]]:
-    """`hapticd lsl` in a process of its own; ended by Ctrl-C unless it has ended."""
+    """Run `hapticd lsl` in a process while the context lasts, and end it by Ctrl-C."""
     process = subprocess.Popen(
         [*HAPTICD, "--runtime-dir", str(daemon.directory), "lsl"],
         stdout=subprocess.PIPE,
@@ -85,7 +85,7 @@ def running_lsl(daemon: Daemon) -> Iterator[subprocess.Popen[str]]:
 
 
 def opened(lsl: Any, name: str, recover: bool = False) -> Any:
-    """An inlet that gets what is sent from now on; with `recover` what it got is kept when the outlet goes."""
+    """Return an inlet that receives what is sent from now on. With `recover` it keeps data when the outlet closes."""
     (found,) = lsl.resolve_byprop("name", name, 1, PATIENCE_S)
     inlet = lsl.StreamInlet(found, max_buflen=60, recover=recover)
     inlet.open_stream(PATIENCE_S)
@@ -93,7 +93,7 @@ def opened(lsl: Any, name: str, recover: bool = False) -> Any:
 
 
 def codes_until(inlet: Any, last: int) -> list[tuple[int, float]]:
-    """Codes with their times, up to that one. Contacts and releases depend on the hand, and are left out."""
+    """Return codes with their times up to a code, without contacts and releases, which depend on the hand."""
     found: list[tuple[int, float]] = []
     while not found or found[-1][0] != last:
         sample, at_s = inlet.pull_sample(PATIENCE_S)
@@ -104,7 +104,7 @@ def codes_until(inlet: Any, last: int) -> list[tuple[int, float]]:
 
 
 def test_its_clock_is_the_daemons(lsl: Any) -> None:
-    """Between two readings of CLOCK_MONOTONIC, which is what the daemon takes."""
+    """LSL's clock is between two readings of CLOCK_MONOTONIC, the daemon's clock."""
     before = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
     now_s = lsl.local_clock()
     assert before - 1000 <= now_s * 1e9 <= time.clock_gettime_ns(time.CLOCK_MONOTONIC) + 1000
@@ -130,7 +130,7 @@ def test_every_sample_arrives_once_in_order_with_the_daemons_times_and_numbers(
             rows += [list(row) for row in chunk]
             times += stamps
     got, at_s = np.array(rows), np.array(times)
-    # Each once and in their order, from the first one that came on.
+    # Each sample arrives once and in order, from the first one that arrived.
     assert np.array_equal(np.diff(got[:, 0]), np.ones(len(got) - 1))
     inside = (got[:, 0] >= samples["tick"][0]) & (got[:, 0] <= samples["tick"][-1])
     got, at_s = got[inside], at_s[inside]
@@ -168,7 +168,7 @@ def test_codes_of_a_session_come_with_the_numbers_of_their_trials(
 ) -> None:
     with running_lsl(daemon), connect(daemon.directory) as other, other.events() as events:
         inlet = opened(lsl, "hapticd events")
-        client.mark("answer")  # of somebody else: no code
+        client.mark("answer")  # a mark of another client has no code
         with DaemonStage(client) as stage:
             assert started(tmp_path, stage, ScriptedFront()).run() == "ended"
         found = codes_until(inlet, 3)
@@ -203,7 +203,7 @@ def test_what_is_touched_has_codes_too(lsl: Any, daemon: Daemon, client: Client)
 def test_outlets_that_end_have_sent_what_the_daemon_did_before(
     attempt: int, lsl: Any, daemon: Daemon, client: Client
 ) -> None:
-    """The last code of a session, right before its process ends."""
+    """The last code of a session is sent just before its process ends."""
     with streaming(client):
         inlet = opened(lsl, "hapticd events", recover=True)
         client.mark("session_end", {"code": 3})
@@ -214,7 +214,7 @@ def test_outlets_that_end_have_sent_what_the_daemon_did_before(
 
 @pytest.mark.long
 def test_a_session_has_outlets_while_it_runs(lsl: Any, daemon: Daemon, tmp_path: Path) -> None:
-    """A person at a terminal who leaves when the first trial is ready."""
+    """A person at a terminal aborts when the first trial is ready."""
     arguments = ["experiment", "run", "okamura1998_puncture", "--participant", "P07", "--text", "--lsl"]
     process = subprocess.Popen(
         [*HAPTICD, "--runtime-dir", str(daemon.directory), *arguments, "-o", str(tmp_path)],
@@ -236,10 +236,10 @@ def test_it_ends_with_what_it_sent(lsl: Any, daemon: Daemon) -> None:
     with running_lsl(daemon) as process:
         opened(lsl, "hapticd samples")
         process.send_signal(signal.SIGTERM)
-        said, told = process.communicate(timeout=PATIENCE_S)
+        output, errors = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0
-        assert said.endswith(" samples and 0 events sent\n")
-        assert "hapticd: the outlets 'hapticd samples' and 'hapticd events' are open\n" in told
+        assert output.endswith(" samples and 0 events sent\n")
+        assert "hapticd: the outlets 'hapticd samples' and 'hapticd events' are open\n" in errors
 
 
 @pytest.mark.long
@@ -249,13 +249,13 @@ def test_a_daemon_that_goes_away_ends_it_in_one_line(lsl: Any, tmp_path: Path) -
     with running_daemon("-c", str(config)) as daemon, running_lsl(daemon) as process:
         opened(lsl, "hapticd samples")
         daemon.stop()
-        said, told = process.communicate(timeout=PATIENCE_S)
-        assert (process.returncode, said) == (1, "")
-        assert told.splitlines()[-1] == "hapticd: the daemon stopped"
+        output, errors = process.communicate(timeout=PATIENCE_S)
+        assert (process.returncode, output) == (1, "")
+        assert errors.splitlines()[-1] == "hapticd: the daemon stopped"
 
 
 @pytest.mark.long
-def test_without_a_daemon_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_daemon_an_error_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--runtime-dir", str(tmp_path), "lsl"]) == 1
     assert capsys.readouterr().err == f"hapticd: no daemon at {tmp_path}; start one with: hapticd run\n"
 
@@ -268,7 +268,7 @@ def test_without_a_daemon_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_without_pylsl_or_its_library_it_names_what_to_install(
     raised: str, right: str, daemon: Daemon, tmp_path: Path
 ) -> None:
-    """A package that fails as Python does where there is none, and as pylsl does without its library."""
+    """One package fails like a missing package, one like pylsl without its library."""
     (tmp_path / "pylsl.py").write_text(f"raise {raised}('first line\\nsecond line')\n")
     run = subprocess.run(
         [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "lsl"],

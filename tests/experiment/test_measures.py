@@ -20,7 +20,7 @@ HAND_KG, GRIP, GRIP_DAMPING = 0.01, 300.0, 5.0
 
 
 def _config(normal: tuple[float, float]) -> dict[str, Any]:
-    """A membrane without vibration, and a joystick without an encoder's steps, friction or resolution."""
+    """Return a membrane without vibration, and a joystick without encoder steps, friction and resolution."""
     return {
         "servo": {"rate_hz": RATE_HZ},
         "device": {
@@ -51,8 +51,8 @@ def _config(normal: tuple[float, float]) -> dict[str, Any]:
 @pytest.mark.parametrize("angle", [90.0, 0.0, 235.0])
 @pytest.mark.parametrize("speed", [0.02, 0.05, 0.12])
 def test_overtravel_is_that_of_the_hand_in_closed_form_within_one_ticks_travel(angle: float, speed: float) -> None:
-    """After the rupture handle and hand are a mass on spring and damper whose other end stops: a linear equation,
-    solved from the handle's true place and speed at the rupture."""
+    """After the rupture handle and hand are a mass on a spring and a damper, whose other end stops: a linear equation,
+    solved from the true position and velocity of the handle at the rupture."""
     normal = np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
     stop, height = 0.02, 0.01
     stops_s = (height + stop) / speed
@@ -109,9 +109,9 @@ def test_overtravel_is_exact_to_the_nanosecond_after_a_hundred_days() -> None:
     assert overtravel_m(samples, [event], {"skin": SKIN}) == pytest.approx(0.0055, abs=1e-12)
 
 
-def test_overtravel_is_past_the_side_to_which_the_membrane_gave_way_whatever_the_velocity_says() -> None:
-    """Entered from below, ruptured 3.5 mm above its centre, 2.5 mm past that, then back to 5 mm below the centre. The
-    velocity is estimated late: it still points down at the rupture."""
+def test_the_side_of_the_rupture_gives_the_direction_of_overtravel_whatever_the_velocity_is() -> None:
+    """The hand enters from below, ruptures the membrane 3.5 mm above its centre, continues 2.5 mm, and returns to 5 mm
+    below the centre. The estimated velocity lags: at the rupture it still points down."""
     samples = _samples(11)
     samples["position_m"][:, 0] = 0.2
     samples["position_m"][:, 1] = 0.1 + 1e-3 * np.array([0, 1, 2, 3, 4, 5, 6, 3, 0, -3, -5])

@@ -1,4 +1,4 @@
-"""Orders and sides: balanced by construction, the same for the same seed, and no order favoured over many seeds."""
+"""Orders and sides: balanced by construction, equal for equal seeds, and equally likely over many seeds."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ FOUR_SIGMA = 4.0
 
 
 def _even(counts: np.ndarray, total: int) -> None:
-    """Counts of equally likely outcomes: each within four and a half standard deviations of its mean, and chi squared
-    within as many of its own."""
+    """Assert that counts of equally likely outcomes, and their chi squared, are within 4.5 standard deviations."""
     mean = total / counts.size
     deviation = np.sqrt(mean * (1 - 1 / counts.size))
     assert np.abs(counts - mean).max() < 4.5 * deviation
@@ -79,8 +78,8 @@ def test_sides_are_balanced_for_each_pair_and_for_each_stimulus(seed: int) -> No
 
 @pytest.mark.slow
 def test_no_order_effect_over_ten_thousand_seeds() -> None:
-    """Seven stimuli as in the paper: each pair stands at each of 28 places equally often, in either order equally
-    often, and follows each other pair equally often."""
+    """Seven stimuli as in the paper: each pair is at each of 28 positions, in each order, and after each other pair
+    equally often."""
     pairs = list(combinations_with_replacement(range(7), 2))
     count = len(pairs)
     places = np.zeros((count, count), dtype=int)

@@ -1,4 +1,4 @@
-"""The command with its two pages, on a daemon with the simulated joystick; a script plays the pages."""
+"""The command with its two pages, on a daemon with the simulated joystick. A script plays the pages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
 
 @pytest.fixture
 def start(daemon: Daemon) -> Iterator[Callable[..., Running]]:
-    """Starts `hapticd` with words on the daemon; what still runs after the test is killed."""
+    """Return a function that starts `hapticd` with arguments on the daemon. The fixture kills what still runs."""
     started: list[Running] = []
 
     def begin(*words: str) -> Running:
@@ -47,7 +47,7 @@ def start(daemon: Daemon) -> Iterator[Callable[..., Running]]:
 
 
 def _numbers(value: object) -> Iterator[float]:
-    """Every number in a message."""
+    """Yield every number in a message."""
     if isinstance(value, dict):
         for each in value.values():
             yield from _numbers(each)
@@ -59,7 +59,7 @@ def _numbers(value: object) -> Iterator[float]:
 
 
 def _secrets(study: str) -> tuple[set[str], set[float]]:
-    """The names of materials, conditions, factors, levels and cells of a study, and the numbers of its materials."""
+    """Return the names of materials, conditions, factors, levels and cells of a study, and the materials' numbers."""
     made = plan(load_study(study), "P07", 1, 1)
     names = {*shipped_materials(), *made.study.factors, *made.study.conditions} - {"all"}
     for trial in made.trials:
@@ -78,9 +78,9 @@ def _secrets(study: str) -> tuple[set[str], set[float]]:
 def test_the_participant_is_sent_no_name_and_no_number_of_a_material(
     study: str, tmp_path: Path, start: Callable[..., Running]
 ) -> None:
-    # Who feels nothing has done the task of a puncture when the runner asks for it no more.
+    # Without a rupture a motor task is repeated until the runner accepts it as not done.
     attempts = MAX_ATTEMPTS_NOT_DONE if study == "okamura1998_puncture" else 1
-    running, script = start(*run_study(tmp_path, study)), Script(most=4 * attempts)
+    running, script = start(*run_study(tmp_path, study)), Script(max_answers=4 * attempts)
     asyncio.run(script.play(running.links))
     code, out, _ = running.ended()
     assert code == 1 and "continue with" in out
@@ -89,12 +89,12 @@ def test_the_participant_is_sent_no_name_and_no_number_of_a_material(
     names, numbers = _secrets(study)
     assert len(names) > 8 and len(numbers) > 20
     instructions = load_study(study).instructions + "".join(each.text for each in load_study(study).questions.values())
-    # What every trial has alike (where the surfaces are, the time limit) tells no material from another.
+    # Values that all trials have in common (places of surfaces, time limit) reveal no material.
     trials = [set(_numbers(screen)) for screen in script.screens if screen.get("question")]
     numbers -= set.intersection(*trials)
     for message in script.participant.messages:
         text = message.decode("utf-8", "replace")
-        # What the study itself tells the participant is no secret.
+        # The texts that the study shows to the participant are not secret.
         found = [name for name in names if name in text and name not in instructions]
         assert not found, text
         assert not set(_numbers(msgpack.unpackb(message))) & numbers
@@ -102,7 +102,7 @@ def test_the_participant_is_sent_no_name_and_no_number_of_a_material(
 
 @pytest.mark.slow
 def test_a_demo_has_a_daemon_of_its_own_and_ends_it(tmp_path: Path) -> None:
-    running, script = Running(*run_study(tmp_path, PAPER[2], "--demo")), Script(most=MAX_ATTEMPTS_NOT_DONE)
+    running, script = Running(*run_study(tmp_path, PAPER[2], "--demo")), Script(max_answers=MAX_ATTEMPTS_NOT_DONE)
     try:
         asyncio.run(script.play(running.links))
         code, out, _ = running.ended()
@@ -126,7 +126,7 @@ def test_the_participants_address_lets_nobody_into_the_experimenters_page(
         async with aiohttp.ClientSession(cookie_jar=jar) as session:
             async with session.get(running.links["participant"]) as response:
                 assert response.status == 200
-            # Cookies do not know ports: this session's go to the other port, too.
+            # Cookies ignore ports: the cookie of this page is also sent to the other port.
             async with session.get(other) as response:
                 assert response.status == 403
             async with session.get(f"{other}?token={token}") as response:
@@ -152,7 +152,7 @@ REFUSED: dict[str, dict[str, Any]] = {
 def test_a_signal_gives_new_addresses_after_the_first_ones_were_used(
     tmp_path: Path, start: Callable[..., Running]
 ) -> None:
-    """A browser that was lost takes its session with it: the address that it was let in by opens no other."""
+    """A lost browser cannot be replaced through the first address, which opens only once."""
     running = start(*run_study(tmp_path, PAPER[0]))
     used = running.links
 
@@ -171,7 +171,7 @@ def test_a_signal_gives_new_addresses_after_the_first_ones_were_used(
 
 @pytest.mark.long
 def test_the_participants_page_may_ask_for_nothing_of_the_scene(tmp_path: Path, start: Callable[..., Running]) -> None:
-    running, told = start(*run_study(tmp_path, PAPER[0])), []
+    running, messages = start(*run_study(tmp_path, PAPER[0])), []
 
     async def heard(_: object, message: Any) -> None:
         raise AssertionError(message)
@@ -183,28 +183,26 @@ def test_the_participants_page_may_ask_for_nothing_of_the_scene(tmp_path: Path, 
             async for message in participant.socket:
                 answer = msgpack.unpackb(message.data)
                 if isinstance(answer, dict):
-                    told.append(answer["error"]["message"])
-                    if len(told) == len(REFUSED):
+                    messages.append(answer["error"]["message"])
+                    if len(messages) == len(REFUSED):
                         return
 
     asyncio.run(ask())
-    assert told == [f"no method {method!r} for a page" for method in REFUSED]
+    assert messages == [f"no method {method!r} for a page" for method in REFUSED]
 
 
 @pytest.mark.slow
-def test_a_session_that_was_stopped_goes_on_to_its_end_with_the_pages(
-    tmp_path: Path, start: Callable[..., Running]
-) -> None:
+def test_a_stopped_session_continues_to_its_end_with_the_pages(tmp_path: Path, start: Callable[..., Running]) -> None:
     study = tmp_path / "study.yaml"
     study.write_text(SHORT)
     running = start(*run_study(tmp_path, str(study)))
-    asyncio.run(Script(most=2).play(running.links))
+    asyncio.run(Script(max_answers=2).play(running.links))
     assert running.ended()[0] == 1
     again, script = start("experiment", "resume", str(tmp_path / SESSION), "--port", "0"), Script()
     asyncio.run(script.play(again.links))
-    code, out, said = again.ended()
-    # A servo of 1 kHz holds less stiffness than the study has.
-    assert all(line.startswith("hapticd: on this device: ") for line in said.splitlines())
+    code, out, errors = again.ended()
+    # With a servo of 1 kHz the study's stiffness is too high.
+    assert all(line.startswith("hapticd: on this device: ") for line in errors.splitlines())
     assert code == 0 and "complete" in out
     assert sorted(answered(tmp_path)) == list(range(5))
     assert script.screens[-1]["kind"] == "over"
@@ -225,15 +223,15 @@ def test_a_participant_whose_page_dies_feels_nothing_and_the_trial_begins_again(
     script = Script()
 
     async def both() -> None:
-        # The third answer is never said: the page goes script.
+        # Instead of a third answer the page closes its connection.
         original = script._participant
 
-        async def goes(page: Any, told: Any) -> None:
-            screen = told[1].get("screen") if isinstance(told, list) and told[0] == "web" else None
+        async def goes(page: Any, content: Any) -> None:
+            screen = content[1].get("screen") if isinstance(content, list) and content[0] == "web" else None
             if script.answers == 2 and screen and screen["kind"] == "trial" and screen["felt"]:
                 await page.socket.close()
                 return
-            await original(page, told)
+            await original(page, content)
 
         script._participant = goes  # type: ignore[method-assign]
         playing = asyncio.create_task(script.play(running.links))

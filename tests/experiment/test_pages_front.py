@@ -1,4 +1,4 @@
-"""What the pages of a session show and say, without a server: screens, console, presence, stylus."""
+"""The content of the pages of a session, without a server: screens, console, presence, stylus."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def test_a_screen_of_a_trial_has_labels_and_keys_and_no_name_of_an_answer() -> N
     screen = screens.trial(SHOWN, interval=2, felt=True, asks=True)
     question: Any = screen["question"]
     assert question["answers"] == [{"label": "The left one", "key": "1"}, {"label": "The right one", "key": "2"}]
-    told = json.dumps(screen)
-    assert "wood" not in told and "steel" not in told
+    text = json.dumps(screen)
+    assert "wood" not in text and "steel" not in text
     assert (screen["total"], screen["at_most"]) == (6, False)
 
 
@@ -95,7 +95,7 @@ def test_a_page_is_here_until_it_was_not_heard_for_so_long_or_closed() -> None:
 
 
 class Played:
-    """A PagesFront whose pages say what `says` says to each change, in the thread that changes it."""
+    """A PagesFront to which `says` sends messages after each change, in the thread of the change."""
 
     def __init__(self, says: Callable[[PagesFront], None]) -> None:
         self._says, self._busy = says, False
@@ -111,7 +111,7 @@ class Played:
 
 
 def _willing(front: PagesFront) -> None:
-    """Lets everything go on, and answers with the first answer."""
+    """Press every button to continue, and give the first answer."""
     console, screen = front.console(), front.screen
     for who in ("participant", "experimenter"):
         if not console["here"][who]:
@@ -133,7 +133,7 @@ def test_a_session_runs_to_its_end_and_the_console_has_every_answer(tmp_path: Pa
     assert [row["trial"] for row in played.front.rows(since=4)] == [4, 5]
 
 
-def test_what_the_participant_gets_in_a_whole_session_has_no_name_of_a_material(tmp_path: Path) -> None:
+def test_the_participants_page_gets_no_name_of_a_material_in_a_complete_session(tmp_path: Path) -> None:
     seen: list[str] = []
 
     def watched(front: PagesFront) -> None:
@@ -183,7 +183,7 @@ def test_an_answer_to_a_screen_that_is_over_counts_for_nothing(tmp_path: Path) -
     assert [row["answer"] for row in played.front.rows()] == ["first"] * 6
 
 
-def test_the_stop_of_the_participant_ends_the_session_and_it_goes_on_another_time(tmp_path: Path) -> None:
+def test_the_stop_of_the_participant_ends_the_session_which_can_be_resumed(tmp_path: Path) -> None:
     def stops(front: PagesFront) -> None:
         if front.console()["done"] == 2 and front.screen.get("felt"):
             front.command(Command("abort", "the participant pressed the stop"))
@@ -202,19 +202,19 @@ def test_trials_that_begin_by_themselves_wait_for_a_page_that_is_away() -> None:
     front = PagesFront(planned(STUDY), changed.set)
     front.set_auto(True)
     front.here("experimenter", True)
-    said: list[Command | None] = []
+    results: list[Command | None] = []
     watched: Any = type("Watched", (), {})()
-    thread = threading.Thread(target=lambda: said.append(front.ready(SHOWN, watched)))
+    thread = threading.Thread(target=lambda: results.append(front.ready(SHOWN, watched)))
     thread.start()
     assert changed.wait(PATIENCE_S)
-    assert not said
+    assert not results
     front.here("participant", True)
     thread.join(PATIENCE_S)
-    assert said == [None]
+    assert results == [None]
 
 
 @pytest.mark.parametrize("answer", [-1, 2, True, "0", None, 0.5])
-def test_an_answer_that_is_none_is_refused(answer: object) -> None:
+def test_an_invalid_answer_is_refused(answer: object) -> None:
     front = PagesFront(planned(STUDY), lambda: None)
     front._show(screens.trial(SHOWN, interval=1, felt=True, asks=True), "felt", None, SHOWN)
     with pytest.raises(ValueError, match="answer: must be an integer from 0 to 1"):
@@ -237,7 +237,7 @@ def test_a_note_changes_nothing_that_the_participant_sees(tmp_path: Path) -> Non
         if front.screen.get("question") is not None and len(numbers) < 3:
             numbers.append(front.screen["screen"])
             front.command(Command("note", "hums"))
-        _willing(front)  # the answer to the screen that was there before the note counts
+        _willing(front)  # the answer to the screen before the note counts
 
     assert started(tmp_path, NotedStage(), Played(notes).front).run() == "ended"
     records = [json.loads(line) for line in (tmp_path / "sub-P07/ses-01/log.jsonl").read_text().splitlines()]
@@ -253,23 +253,23 @@ def test_an_answer_without_a_key_has_its_number() -> None:
     assert [each["key"] for each in question["answers"]] == ["x", "2", "3"]
 
 
-def test_what_is_told_of_a_trial_is_on_the_next_screen_that_is_felt(tmp_path: Path) -> None:
-    told: dict[object, object] = {}
+def test_feedback_on_a_trial_is_on_the_next_screen_that_is_felt(tmp_path: Path) -> None:
+    feedbacks: dict[object, object] = {}
 
-    def looks(front: PagesFront) -> None:
+    def record(front: PagesFront) -> None:
         if front.screen.get("felt"):
-            told[front.screen["screen"]] = front.screen["told"]
+            feedbacks[front.screen["screen"]] = front.screen["told"]
         _willing(front)
 
-    front = Played(looks).front
+    front = Played(record).front
     front.feedback("Correct.", "wood")
     front.set_auto(True)
     assert started(tmp_path, NotedStage(), front).run() == "ended"
-    first, *later = told.values()
+    first, *later = feedbacks.values()
     assert first == "Correct." and len(later) == 5 and not any(later)
 
 
-def test_who_goes_on_before_a_break_is_over_reads_how_long_it_takes() -> None:
+def test_an_experimenter_who_continues_before_the_end_of_a_break_reads_the_remaining_time() -> None:
     over = Command("abort", "over")
 
     def hurried(front: PagesFront) -> None:
@@ -286,14 +286,14 @@ def test_who_goes_on_before_a_break_is_over_reads_how_long_it_takes() -> None:
 def test_both_pages_have_the_time_that_is_left_of_a_break_whenever_they_are_opened() -> None:
     seen: list[tuple[Any, Any]] = []
 
-    def looks(front: PagesFront) -> None:
+    def press(front: PagesFront) -> None:
         if front.console()["doing"] == "rests":
             seen.append((front.console(), front.screen))
-            front._until_s -= 1000.0  # as if so much time had passed
+            front._until_s -= 1000.0  # as if 1000 s had passed
             seen.append((front.console(), front.screen))
             front.command(Command("abort", "over"))
 
-    front = Played(looks).front
+    front = Played(press).front
     assert front.console()["least_s"] == front.console()["left_s"] == 0.0
     front.rest(None, 3600.0)
     for (console, screen), left_s in zip(seen, (3600.0, 2600.0), strict=True):
@@ -312,7 +312,7 @@ def test_a_server_that_is_stuck_is_a_pause(monkeypatch: pytest.MonkeyPatch) -> N
     assert front.may_enable() == Command("pause", "paused: the pages' server is away")
 
 
-def test_a_stage_that_is_lost_is_told() -> None:
+def test_a_lost_stage_is_reported() -> None:
     class Lost(NotedStage):
         def check(self) -> None:
             raise HapticdError("the daemon is gone")
@@ -324,7 +324,7 @@ def test_a_stage_that_is_lost_is_told() -> None:
         front.ask(SHOWN, Lost())
 
 
-def test_a_participant_who_goes_on_while_the_experimenter_is_away_is_told_and_goes_on_when_they_are_back() -> None:
+def test_a_press_of_the_participant_takes_effect_when_the_experimenter_is_back() -> None:
     notices: list[str] = []
 
     def presses(front: PagesFront) -> None:
@@ -347,8 +347,8 @@ def test_a_participant_who_goes_on_while_the_experimenter_is_away_is_told_and_go
 
 
 @pytest.mark.parametrize("who", ["participant", "experimenter"])
-def test_who_left_after_going_on_is_asked_again(who: Any) -> None:
-    """The participant's page was away since, or it was the experimenter who went on: that does not count for later."""
+def test_a_press_of_a_participant_who_left_does_not_count(who: Any) -> None:
+    """A press while a page is away takes effect later only if the participant pressed, and stayed present."""
     over = Command("abort", "over")
 
     def presses(front: PagesFront) -> None:
@@ -361,8 +361,8 @@ def test_who_left_after_going_on_is_asked_again(who: Any) -> None:
             case [_]:
                 front.here("participant", False)
                 front.go_on(who, number)
-            case [_, told]:
-                assert told == "the participant's page and the experimenter's page must be open to continue"
+            case [_, line]:
+                assert line == "the participant's page and the experimenter's page must be open to continue"
                 front.here("experimenter", True)
                 front.here("participant", True)
                 front.command(over)

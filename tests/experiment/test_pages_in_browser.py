@@ -19,7 +19,7 @@ from tests.experiment.scripted_pages import SESSION, Running, log_of, run_study
 from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 from tests.web.browser import executable, running_browser
 
-pytestmark = [pytest.mark.alone, pytest.mark.slow]  # a page that is held up for 3 s is away
+pytestmark = [pytest.mark.alone, pytest.mark.slow]  # a page that is delayed by 3 s counts as away
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +31,9 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def daemon(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
-    """It comes after the browser, so that nothing is started where there is none."""
+    """Start a daemon after the browser: without a browser nothing is started."""
     path = tmp_path_factory.mktemp("daemon") / "servo.yaml"
-    # With real-time rights where there are any: a surface is felt while a browser draws beside it.
+    # With real-time rights if possible, so that a surface is felt while a browser draws.
     path.write_text("servo: {rate_hz: 1000, overruns: {threshold: 1}}\n")
     with running_daemon("-c", str(path)) as running:
         yield running
@@ -41,8 +41,8 @@ def daemon(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 @pytest.fixture
 def session(browser: Browser, daemon: Daemon, tmp_path: Path) -> Iterator[Callable[..., Session]]:
-    """Starts a session of a study, which is killed after the test if it still runs."""
-    # The test before may have left the hand below a surface, where it holds up the forces.
+    """Return a function that starts a session of a study. The fixture kills it after the test."""
+    # The previous test may have left the hand below a surface, which would keep the forces off.
     with connect(daemon.directory) as client:
         client.set_scene({"objects": {}}, wait=True)
         client.set_operator(waypoints=[[0.1, 0.0, 0.02]])
@@ -84,7 +84,7 @@ questions:
 
 
 ANY_MOTION = STUDY.replace("measure: overtravel_m", "measure: path_m")
-"""Its trials are done whatever the hand did."""
+"""A study whose trials are done whatever the hand did."""
 
 
 @pytest.mark.parametrize("study", ["okamura1998_tapping", "okamura1998_texture"])
@@ -134,7 +134,7 @@ def test_the_experimenter_sees_the_trial_and_the_answers_and_the_space_bar_ends_
     assert "note" in kinds and kinds[-1] == "aborted"
 
 
-def test_a_browser_that_is_closed_pauses_the_session_and_it_goes_on_when_the_page_is_back(
+def test_a_closed_browser_pauses_the_session_until_its_page_is_back(
     session: Callable[..., Session], tmp_path: Path
 ) -> None:
     here = session("okamura1998_tapping")
@@ -158,7 +158,7 @@ def test_a_browser_that_is_closed_pauses_the_session_and_it_goes_on_when_the_pag
     assert (given["trial"], given["attempt"], given["answer"]) == (0, 2, "second")
 
 
-def test_a_break_says_why_nobody_goes_on_yet_and_that_the_experimenter_is_away(
+def test_a_break_shows_its_remaining_time_and_that_the_experimenter_is_away(
     session: Callable[..., Session], tmp_path: Path
 ) -> None:
     study = tmp_path / "pause.yaml"
@@ -168,8 +168,8 @@ def test_a_break_says_why_nobody_goes_on_yet_and_that_the_experimenter_is_away(
     here.next_question()
     here.answer("Enter")
     here.experimenter.wait_for_selector("#session-go-on:disabled")
-    told = r"/^The break lasts at least 5 s: [1-5] s left\.$/"
-    here.experimenter.wait_for_function(f"() => {told}.test(document.getElementById('session-wait').textContent)")
+    pattern = r"/^The break lasts at least 5 s: [1-5] s left\.$/"
+    here.experimenter.wait_for_function(f"() => {pattern}.test(document.getElementById('session-wait').textContent)")
     here.experimenter.wait_for_selector("#session-go-on:enabled")
     assert here.experimenter.inner_text("#session-wait") == ""
     address, context = here.experimenter.url, here.experimenter.context
@@ -180,7 +180,7 @@ def test_a_break_says_why_nobody_goes_on_yet_and_that_the_experimenter_is_away(
     here.participant.keyboard.press("Enter")
     here.experimenter = context.new_page()
     here.experimenter.goto(address)
-    # Not by another press, which would answer the question that comes.
+    # Another press would answer the next question.
     here.participant.wait_for_function(f"() => participant.screen.screen > {pause}")
     assert here.participant.inner_text("#notice") == ""
     assert here.next_question()["number"] == 2  # the press counted as soon as the experimenter was back
@@ -208,14 +208,14 @@ def test_overtravel_of_a_push_with_the_mouse_is_that_of_its_recording(
     for record in answers:
         (file,) = (tmp_path / SESSION).glob(f"trial-{record['trial']:04d}*.npz")
         found = load(file)
-        # The recording goes on a moment after the answer, and the hand with it: a measure ends with the answer.
+        # Recording and hand continue for a moment after the answer. A measure ends with the answer.
         (answered,) = (mark["tick"] for mark in found.marks if mark["text"] == EventCode.ANSWER.text)
         ruptured = [event for event in found.events if event["event"] == "puncture" and event["tick"] <= answered]
-        # A servo that is held up for as long as the hand takes sees it on one side and then on the other: no push.
+        # A servo that is delayed while the hand passes sees it on one side, then on the other, and no push.
         height_m = found.samples["position_m"][:, 1]
-        told = [(event["event"], event["tick"] - int(found.samples["tick"][0])) for event in found.events]
+        marked = [(event["event"], event["tick"] - int(found.samples["tick"][0])) for event in found.events]
         assert len(ruptured) == 1 or np.diff(found.samples["time_ns"].astype(np.int64)).max() > HELD_UP_NS, (
-            told,
+            marked,
             height_m[::20].tolist(),
         )
         if len(ruptured) != 1:
@@ -236,7 +236,7 @@ def test_overtravel_of_a_push_with_the_mouse_is_that_of_its_recording(
 def test_a_mouse_button_that_is_down_when_the_forces_come_on_moves_the_hand(
     session: Callable[..., Session], tmp_path: Path
 ) -> None:
-    """It went down in the trial before, and is held while the next one is prepared."""
+    """The button was pressed in the previous trial, and is held while the next one is prepared."""
     study = tmp_path / "study.yaml"
     study.write_text(ANY_MOTION)
     here = session(str(study))
@@ -261,7 +261,7 @@ def test_a_mouse_button_that_is_down_when_the_forces_come_on_moves_the_hand(
 
 
 def test_forces_wait_until_the_stylus_is_out_of_the_membrane(session: Callable[..., Session], tmp_path: Path) -> None:
-    """It broke the one of the trial before, and is below where the next one is."""
+    """The stylus broke the membrane of the previous trial, and is below the place of the next one."""
     study = tmp_path / "study.yaml"
     study.write_text(STUDY)
     here = session(str(study))

@@ -1,4 +1,4 @@
-"""Simulated participants: what they answer comes from what they felt."""
+"""Simulated participants: their answers follow from the samples that they felt."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ import pytest
 
 from hapticd.base.core import SAMPLE_DTYPE, Flag
 from hapticd.experiment.front import Choice, Command, Seen, Shown, Watched
+from hapticd.experiment.keys import POSITION_MEANINGS
 from hapticd.experiment.offline_stage import OfflineStage
 from hapticd.experiment.participants.hand import Hand
-from hapticd.experiment.participants.observer import POSITION_NAMES, Observer, ObserverParameters, fineness, hardness
+from hapticd.experiment.participants.observer import Observer, ObserverParameters, fineness, hardness
 from hapticd.experiment.participants.simulated import SimulatedFront, task_of
 from hapticd.experiment.plan import Plan
 from hapticd.experiment.runner import Session
@@ -57,7 +58,7 @@ def test_the_same_seed_answers_alike_and_another_one_otherwise(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_memory_stays_flat_over_a_session(tmp_path: Path) -> None:
-    """A trial leaves its number behind and nothing else: less than a record of the log, which has some 800 bytes."""
+    """A trial keeps its number and nothing else: less memory than a record of the log, about 800 bytes."""
     plan = planned({**STUDY, "repetitions": 16})
     traced: list[int] = []
 
@@ -68,7 +69,7 @@ def test_memory_stays_flat_over_a_session(tmp_path: Path) -> None:
             return super().ready(shown, watched)
 
     front = Counting(plan.seed, "A", task_of(plan))
-    gc.freeze()  # what the tests before have left is not looked through again after each trial
+    gc.freeze()  # objects of earlier tests are not collected again after each trial
     tracemalloc.start()
     try:
         answers = _answers(tmp_path, plan, front)
@@ -81,7 +82,7 @@ def test_memory_stays_flat_over_a_session(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_permuting_names_changes_nothing(tmp_path: Path) -> None:
-    """Stimuli, levels, cells and conditions under other names, the wrong ones at that: the same answers."""
+    """Stimuli, levels, cells and conditions with exchanged names give the same answers."""
     plan = planned({**STUDY, "repetitions": 2})
     names = {"wood": "steel", "delrin": "wood", "steel": "delrin"}
     renamed = dataclasses.replace(
@@ -109,7 +110,7 @@ def test_permuting_names_changes_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_permuting_what_is_displayed_changes_the_answers(tmp_path: Path) -> None:
-    """The names stay, and both surfaces become the same: nothing is told apart any more but by noise."""
+    """With the same names but equal surfaces, only noise distinguishes the stimuli."""
     plan = planned({**STUDY, "repetitions": 4})
     alike = dataclasses.replace(
         plan,
@@ -118,10 +119,10 @@ def test_permuting_what_is_displayed_changes_the_answers(tmp_path: Path) -> None
             for trial in plan.trials
         ),
     )
-    told = [trial.correct for trial in plan.trials]
+    correct = [trial.correct for trial in plan.trials]
     shown, hidden = _answers(tmp_path / "shown", plan), _answers(tmp_path / "hidden", alike)
-    differ = [at for at, right in enumerate(told) if right != "same"]
-    assert sum(shown[at] == told[at] for at in differ) > sum(hidden[at] == told[at] for at in differ)
+    differ = [at for at, right in enumerate(correct) if right != "same"]
+    assert sum(shown[at] == correct[at] for at in differ) > sum(hidden[at] == correct[at] for at in differ)
     assert hidden.count("same") > shown.count("same")
 
 
@@ -155,7 +156,7 @@ def test_hardness_grows_with_slope_and_frequency_and_not_with_the_speed_of_the_h
 @pytest.mark.parametrize("display", ["geometry", "damping", "vibration"])
 @pytest.mark.parametrize("spacing_m", [0.0016, 0.0024, 0.0048, 0.0064])
 def test_fineness_is_one_over_the_spacing_of_the_grooves(spacing_m: float, display: str) -> None:
-    """In every display of the shipped combs, by whichever of its harmonics it is the strongest."""
+    """In every display of the shipped combs, whichever harmonic is the strongest."""
     from hapticd.config.materials import shipped_materials
 
     material = shipped_materials()[f"comb_{spacing_m * 1e6:.0f}um_{display}"].to_dict()
@@ -165,7 +166,7 @@ def test_fineness_is_one_over_the_spacing_of_the_grooves(spacing_m: float, displ
 
 @pytest.mark.parametrize("harmonics", [(1,), (2, 3), (3, 4, 5)])
 def test_fineness_is_the_period_of_a_pattern_whichever_harmonics_it_has(harmonics: tuple[int, ...]) -> None:
-    """A force made of sinusoids along a way to and fro at 0.1 m/s, which turns with the way as friction does."""
+    """The force is a sum of sinusoids along a path to and fro at 0.1 m/s, and changes sign with the direction."""
     period_m, ticks = 0.004, 10_000
     time = np.arange(2 * ticks) * 1e-4
     along = 0.1 * np.minimum(time, 2e-4 * ticks - time) - 0.05
@@ -186,7 +187,7 @@ def test_a_smooth_surface_has_no_fineness() -> None:
 
 @pytest.mark.parametrize("difference", [0.0, 0.3, 0.8])
 def test_comparisons_are_those_of_two_noisy_percepts(difference: float) -> None:
-    """The share of `second` and of `same` is that of the normal distribution, within four standard errors."""
+    """The fractions of `second` and `same` follow the normal distribution, within four standard errors."""
     from scipy.stats import norm
 
     noise, criterion, count = 0.3, 0.4, 4000
@@ -212,11 +213,13 @@ def test_an_observer_learns_from_feedback_and_guesses_before() -> None:
     for value, name in ((1.0, "a"), (2.0, "b"), (3.0, "c"), (1.2, "a")):
         observer.learn(value, name)
     assert [observer.identify(value, answers) for value in (0.9, 2.2, 5.0)] == ["a", "b", "c"]
-    assert observer.rank([0.1, 3.0, 2.0]) == ">".join((POSITION_NAMES[1], POSITION_NAMES[2], POSITION_NAMES[0]))
+    assert observer.rank([0.1, 3.0, 2.0]) == ">".join(
+        (POSITION_MEANINGS[1], POSITION_MEANINGS[2], POSITION_MEANINGS[0])
+    )
 
 
 def test_a_puncture_is_reacted_to_after_it_was_felt() -> None:
-    """The hand turns back after the rupture by its reaction time; without the reaction it goes on to the end."""
+    """The hand turns back a reaction time after the rupture. Without the reaction it continues to the end."""
     from hapticd.config.configuration import load_config
     from hapticd.experiment.participants.observer import rupture_felt_s
 
@@ -227,19 +230,19 @@ def test_a_puncture_is_reacted_to_after_it_was_felt() -> None:
     stage.enable()
     stage.mark("interval", None)
     front._press(FLOOR, stage)
-    told = stage.telemetry()
-    felt_s = rupture_felt_s(told.samples, FLOOR)
-    broke = next(event for event in told.events if event["event"] == "puncture")
+    telemetry = stage.telemetry()
+    felt_s = rupture_felt_s(telemetry.samples, FLOOR)
+    broke = next(event for event in telemetry.events if event["event"] == "puncture")
     assert felt_s is not None
     assert broke["onset_time_ns"] / 1e9 < felt_s
-    depth = -told.samples["position_m"][:, 1]
-    turned_s = float(told.samples["time_ns"][np.argmax(depth)]) / 1e9
+    depth = -telemetry.samples["position_m"][:, 1]
+    turned_s = float(telemetry.samples["time_ns"][np.argmax(depth)]) / 1e9
     assert turned_s > felt_s + 0.03
     assert depth[-1] < depth.max()
 
 
 def test_noise_and_criterion_are_set_by_the_soft_materials_of_table_2_alone() -> None:
-    """No other pair of values explains the paper's six cells of soft materials better."""
+    """No other noise and criterion explain the paper's six cells of soft materials better."""
     from scipy.optimize import minimize
     from scipy.stats import binom, norm
 
@@ -280,9 +283,9 @@ def test_noise_and_criterion_are_set_by_the_soft_materials_of_table_2_alone() ->
 
 @pytest.mark.long
 def test_the_paper_s_order_is_that_of_the_model() -> None:
-    """Soft pairs are told apart better than hard ones, in expectation over the noise.
+    """In expectation over the noise, soft pairs are distinguished better than hard pairs.
 
-    No figure of a hard material was used for noise and criterion. The rank correlation with Table 2 is of all 28 pairs.
+    Noise and criterion were fitted without hard materials. The rank correlation is over all 28 pairs of Table 2.
     """
     from itertools import combinations, combinations_with_replacement
 
@@ -312,8 +315,8 @@ def test_the_paper_s_order_is_that_of_the_model() -> None:
 
 
 @pytest.mark.slow
-def test_gratings_of_vibration_are_told_apart_at_least_as_well_as_those_of_geometry() -> None:
-    """In expectation over the noise, of what eight hands feel in the ten pairs of the texture study."""
+def test_gratings_of_vibration_are_distinguished_at_least_as_well_as_those_of_geometry() -> None:
+    """In expectation over the noise, from the samples of eight hands in the ten pairs of the texture study."""
     from itertools import combinations
 
     from scipy.stats import norm

@@ -1,4 +1,4 @@
-"""A plan holds every cell as often as asked, with the right answers, and is the same for the same seed."""
+"""A plan has each cell as often as the study asks, with the correct answers, and equal plans for equal seeds."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def _hz(made: Plan, trial: PlannedTrial, name: str) -> float:
     return tap.frequency_hz
 
 
-def test_a_ranking_stands_at_each_position_and_knows_its_order() -> None:
+def test_each_stimulus_of_a_ranking_is_at_each_position_and_the_correct_order_is_known() -> None:
     data = yaml.safe_load(CONSTANT)
     data["trial"] = {"type": "ranking", "alternatives": 4, "cross": ["stiffness"], "question": "order"}
     asks = {"factor": "stiffness", "which": "highest"}
@@ -202,7 +202,7 @@ def test_a_difference_applied_is_the_other_document(old: Mapping[str, Any], new:
 
 @pytest.mark.long
 def test_a_long_list_makes_each_stimulus_once() -> None:
-    """10,000 listed trials of two levels, whichever are written: a cell each, and two stimuli in all of the plan."""
+    """10,000 listed trials of two levels make 10,000 cells, but only two stimuli."""
     document = yaml.safe_load(LISTED)
     trials = [{"stimuli": [{"material": ("wood", "steel")[number % 2]}]} for number in range(10_000)]
     study = study_of({**document, "conditions": {"all": {}}, "trial": {**document["trial"], "list": trials}})

@@ -1,4 +1,4 @@
-"""QUEST+ against the package questplus, and against a thousand simulated observers."""
+"""QUEST+ compared with the package questplus and with a thousand simulated observers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def quest_plus(**more: object) -> QuestPlus:
 @pytest.mark.long
 @pytest.mark.parametrize("shape, scale", [("weibull", "log10"), ("weibull", "linear"), ("cumulative_normal", "linear")])
 def test_the_posterior_is_that_of_questplus(shape: str, scale: str) -> None:
-    """On the same answers, and the next level is the same."""
+    """Equal answers give equal posteriors and equal next levels."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         reference = pytest.importorskip("questplus")
@@ -73,7 +73,7 @@ def test_the_posterior_is_that_of_questplus(shape: str, scale: str) -> None:
 
 
 def test_expected_entropies_are_sums_over_both_answers() -> None:
-    """Against the definition, written out."""
+    """The reference is the definition, written out."""
     generator = np.random.Generator(np.random.PCG64(2))
     prior, table = generator.dirichlet(np.ones(40)), generator.random((7, 40))
     expected = []
@@ -92,8 +92,8 @@ def test_expected_entropies_are_sums_over_both_answers() -> None:
 
 @pytest.mark.slow
 def test_a_thousand_observers() -> None:
-    """Bias of the threshold at most 5 %, 95 % intervals cover 93 to 97 %. All observers at once: the rows of one
-    array are what `QuestPlus` has one of, which `test_one_observer_of_many` compares."""
+    """The bias of the threshold is at most 5 %, and 95 % intervals cover 93 to 97 %. Observers are rows of an array,
+    which `test_one_observer_of_many` compares with `QuestPlus`."""
     generator = np.random.Generator(np.random.PCG64(3))
     one = quest_plus(
         levels={"least": 20.0, "most": 500.0, "count": 31, "axis": "logarithmic"},
@@ -101,7 +101,7 @@ def test_a_thousand_observers() -> None:
         slopes={"least": 1.0, "most": 8.0, "count": 9, "axis": "logarithmic"},
         lapses=[0.02],
     )
-    # Observers as the prior has them: 95 % of them must lie in a 95 % interval.
+    # The observers are drawn from the prior: 95 % of them must lie in their 95 % intervals.
     thresholds = np.exp(generator.uniform(math.log(20), math.log(500), OBSERVERS))
     slopes = np.exp(generator.uniform(math.log(1), math.log(8), OBSERVERS))
     posterior = np.repeat(one.posterior[None], OBSERVERS, axis=0)
@@ -119,7 +119,7 @@ def test_a_thousand_observers() -> None:
 
 
 def test_one_observer_of_many() -> None:
-    """The class does with one observer what the test above does with rows of an array."""
+    """`QuestPlus` has the levels and estimates of one row of the array in `test_a_thousand_observers`."""
     one = quest_plus()
     posterior = np.repeat(one.posterior[None], 2, axis=0)
     for positive in (True, False, True, True):
@@ -133,7 +133,7 @@ def test_one_observer_of_many() -> None:
         assert posterior[1] == pytest.approx(one.posterior, abs=1e-15)
 
 
-def test_a_stored_run_goes_on_as_it_was() -> None:
+def test_a_stored_run_continues_as_before() -> None:
     one = quest_plus(trials=20)
     generator = np.random.Generator(np.random.PCG64(4))
     while (due := one.level()) is not None:
@@ -155,7 +155,7 @@ def test_it_ends_when_it_is_precise() -> None:
 
 
 def test_intervals_of_an_even_posterior() -> None:
-    """95 % of what is spread evenly from 0 to 1."""
+    """The interval contains 95 % of a uniform distribution from 0 to 1."""
     values = (np.arange(1000) + 0.5) / 1000
     assert interval(values, np.full(1000, 1e-3)) == pytest.approx((0.025, 0.975), abs=1e-12)
 
@@ -168,7 +168,7 @@ def test_what_cannot_be_answered() -> None:
         one.estimate()
     sure = quest_plus(shape="logistic", axis="linear", levels=[0.0, 1e6], slopes=[1.0], guesses=[0.0], lapses=[0.0])
     sure.answer(1e6, True)
-    with pytest.raises(ProcedureError, match="has probability 0 on the grid"):
+    with pytest.raises(ProcedureError, match="has probability 0 at every grid point"):
         quest_plus(levels=[1.0, 1e6], thresholds=[1.0], slopes=[5.0], guesses=[0.0], lapses=[0.0]).answer(1e6, False)
 
 

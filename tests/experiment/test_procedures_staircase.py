@@ -1,4 +1,4 @@
-"""Staircases: where they converge, what they estimate, and that a stored one goes on as it was."""
+"""Staircases: where they converge, what they estimate, and that a stored staircase continues as before."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TARGETS: dict[Rule, float] = {"1-up-1-down": 0.5, "1-up-2-down": math.sqrt(0.5),
 
 
 def logistic(level: float, threshold: float, spread: float, guess: float) -> float:
-    """Written out here: the reference shares nothing with what is tested."""
+    """The logistic function, written out: the reference shares no code with the tested module."""
     return guess + (1 - guess) / (1 + math.exp(-(level - threshold) / spread))
 
 
@@ -59,7 +59,7 @@ def parameters(rule: Rule, guess: float, **more: object) -> StaircaseParameters:
     ],
 )
 def test_a_thousand_observers(rule: Rule, guess: float, target: float) -> None:
-    """The estimate's bias is at most 5 %, 95 % intervals cover 93 to 97 %; reversals are where they should be."""
+    """The bias is at most 5 %, 95 % intervals cover 93 to 97 %, and reversals are near the target proportion."""
     generator = np.random.Generator(np.random.PCG64(20))
     given = parameters(rule, guess, target=0.75 if rule == "weighted" else None)
     errors, covered, proportions = [], 0, []
@@ -81,8 +81,8 @@ def test_a_thousand_observers(rule: Rule, guess: float, target: float) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("rule", TARGETS)
 def test_levels_converge_at_the_rules_proportion(rule: Rule) -> None:
-    """Small steps and many trials: positive answers at the levels visited become the target proportion (Levitt, 1971).
-    The reference is the stationary distribution of the rule's Markov chain over its levels."""
+    """With small steps and many trials the proportion of positive answers becomes the target (Levitt, 1971). The
+    reference is the stationary distribution of the rule's Markov chain over its levels."""
     spread, step, in_a_row = 10.0, 2.0, {"1-up-1-down": 1, "1-up-2-down": 2, "1-up-3-down": 3}[rule]
     levels = np.arange(20.0, 201.0, step)
     chances = np.array([logistic(level, 100, spread, 0) for level in levels])
@@ -116,7 +116,7 @@ def test_a_weighted_staircase_steps_by_the_odds() -> None:
 
 
 def test_the_rule_is_followed_step_by_step() -> None:
-    """1-up-2-down by hand: steps become smaller after each reversal."""
+    """1-up-2-down by hand, with smaller steps after each reversal."""
     staircase = Staircase(parameters("1-up-2-down", 0.5, trials=8))
     visited = []
     for positive in (True, True, True, False, True, True, False, False):
@@ -143,7 +143,7 @@ def test_factors_on_a_logarithmic_axis_and_harder_upwards() -> None:
         assert staircase.level() == level
 
 
-def test_a_stored_staircase_goes_on_as_it_was() -> None:
+def test_a_stored_staircase_continues_as_before() -> None:
     generator = np.random.Generator(np.random.PCG64(5))
     one = Staircase(parameters("1-up-3-down", 0.5, axis="logarithmic", steps=[1.5, 1.2, 1.1]))
     while (level := one.level()) is not None:
@@ -179,6 +179,6 @@ def test_bad_parameters(wrong: dict[str, object], text: str) -> None:
 
 
 @pytest.mark.parametrize("state", [None, {"parameters": {}}, {"parameters": {}, "answers": [[1.0]]}, {"answers": []}])
-def test_a_state_that_is_none(state: object) -> None:
+def test_an_invalid_state_is_refused(state: object) -> None:
     with pytest.raises(HapticdError):
         Staircase.restored(state)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""A session as it runs: what is armed when, what a command does, and what is left when something dies."""
+"""A running session: what is armed when, the effect of commands, and what remains after a crash."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SESSION = Path("sub-P07/ses-01")
 
 
 def _config(folder: Path) -> Path:
-    """A servo that needs no real-time rights, and whose missed periods are no news."""
+    """Return a servo that needs no real-time rights, and whose missed periods are not reported."""
     path = folder / "servo.yaml"
     path.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
     return path
@@ -71,10 +71,10 @@ def test_what_is_armed_is_what_was_planned(tmp_path: Path) -> None:
 def test_the_participants_side_gets_no_name(tmp_path: Path) -> None:
     front = ScriptedFront()
     started(tmp_path, NotedStage(), front).run()
-    said = repr(front.shown)
+    text = repr(front.shown)
     for name in ("wood", "delrin", "steel", "material", "force"):
-        assert name not in said
-    assert "The left one" in said
+        assert name not in text
+    assert "The left one" in text
 
 
 def test_a_pause_and_a_repetition_begin_the_trial_again(tmp_path: Path) -> None:
@@ -87,10 +87,10 @@ def test_a_pause_and_a_repetition_begin_the_trial_again(tmp_path: Path) -> None:
     assert first == [1, 2, 3]
     assert len(_records(tmp_path, "paused")) == len(_records(tmp_path, "continued")) == 1
     assert sorted(record["trial"] for record in _records(tmp_path, "answer")) == list(range(6))
-    # Each attempt has a file of its own.
+    # Each attempt has a separate file.
     files = [str(record["file"]) for record in _records(tmp_path, "trial_started")]
     assert len(set(files)) == len(files)
-    # The force is out, and the recording over, before the trial begins again.
+    # The force is zero and the recording has ended before the trial begins again.
     one = ["record", "arm", "mark trial_armed", "enable", "mark interval", "fade", "mark trial_given_up", "recorded"]
     assert stage.done[:20] == ["fade", "mark session_begin", *one, *one, "mark pause_begin", "mark pause_end"]
 
@@ -124,7 +124,7 @@ def test_the_plan_comes_back_from_its_file(tmp_path: Path) -> None:
 
 
 class _DiedError(BaseException):
-    """As if the process had been killed: nothing that catches errors sees it."""
+    """As if the process had been killed: no handler of errors catches it."""
 
 
 def _level(shown: Shown) -> str:
@@ -132,11 +132,11 @@ def _level(shown: Shown) -> str:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_killed_at_any_call_a_session_with_a_staircase_goes_on_as_if_nothing_had_been(
+def test_killed_at_any_call_a_session_with_a_staircase_continues_as_if_it_had_not_been_killed(
     seed: int, tmp_path: Path
 ) -> None:
-    whole = tmp_path / "whole"
-    assert started(whole, NotedStage(), ScriptedFront(_level), STAIRCASE).run() == "ended"
+    complete = tmp_path / "whole"
+    assert started(complete, NotedStage(), ScriptedFront(_level), STAIRCASE).run() == "ended"
     chance = random.Random(seed)
 
     def dies() -> Callable[[str], None]:
@@ -166,9 +166,9 @@ def test_killed_at_any_call_a_session_with_a_staircase_goes_on_as_if_nothing_had
             deaths += 1
     assert deaths > 0
     for kind, names in (("answer", ("trial", "answer", "level", "correct")), ("trial_skipped", ("trial",))):
-        left, right = ([[each[name] for name in names] for each in _records(place, kind)] for place in (whole, root))
+        left, right = ([[each[name] for name in names] for each in _records(place, kind)] for place in (complete, root))
         assert left == right
-    assert _records(whole, "answer")[-1]["procedure_state"] == _records(root, "answer")[-1]["procedure_state"]
+    assert _records(complete, "answer")[-1]["procedure_state"] == _records(root, "answer")[-1]["procedure_state"]
 
 
 def test_answers_are_on_disk_before_the_next_trial_begins(tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_forces_that_are_lost_in_a_trial_make_it_begin_again(tmp_path: Path) -> 
 
     front = ScriptedFront()
     assert started(tmp_path, NotedStage(fails), front).run() == "ended"
-    assert len(front.told) == 2
+    assert len(front.lines) == 2
     assert [record["attempt"] for record in _records(tmp_path, "answer")] == [3, 1, 1, 1, 1, 1]
     left[0] = 100
     root = tmp_path / "always"
@@ -240,7 +240,7 @@ def test_a_handle_is_clear_inside_nothing_and_behind_no_membrane(tmp_path: Path)
 
 
 def test_a_procedure_that_has_ended_gives_no_more_breaks(tmp_path: Path) -> None:
-    """After its last answer its other trials are not needed, and no break comes before them."""
+    """After the last answer its other trials are skipped, and no break precedes them."""
     front = ScriptedFront(_level)
     study = {**STAIRCASE, "breaks": {"every_trials": 1}}
     assert started(tmp_path, NotedStage(), front, study).run() == "ended"
@@ -267,7 +267,7 @@ MOTOR: dict[str, Any] = {
 
 
 class PushedStage(NotedStage):
-    """Its hand breaks the membrane in attempts whose place, from 0, is in `breaks`, and goes 3 mm further."""
+    """A stage whose hand breaks the membrane in the attempts in `breaks`, counted from 0, and continues for 3 mm."""
 
     def __init__(self, breaks: frozenset[int], force_n: float = 2.0) -> None:
         super().__init__()
@@ -306,7 +306,7 @@ def test_a_motor_task_that_is_never_done_has_no_answer_after_three_attempts(meas
     assert len(_records(tmp_path, "trial_given_up")) == 4
 
 
-def test_forces_that_somebody_else_stopped_stay_off_until_the_experimenter_goes_on(tmp_path: Path) -> None:
+def test_forces_that_another_client_stopped_stay_off_until_the_experimenter_continues(tmp_path: Path) -> None:
     stopped = [True]
 
     def fails(done: str) -> None:
@@ -324,14 +324,14 @@ def test_forces_that_somebody_else_stopped_stay_off_until_the_experimenter_goes_
 
 
 @pytest.mark.parametrize("moment", ["before", "after"])
-def test_a_stop_that_comes_while_the_scene_is_put_in_force_leaves_the_forces_off(tmp_path: Path, moment: str) -> None:
-    """The participant presses it between two intervals, when nobody is asked anything."""
+def test_a_stop_while_the_scene_is_loaded_leaves_the_forces_off(tmp_path: Path, moment: str) -> None:
+    """The participant presses the stop between two intervals, while no method of the front is running."""
     stage = NotedStage()
 
     class Stops(ScriptedFront):
         def may_enable(self) -> Command | None:
             enabled = stage.done.count("enable")
-            # Each time it is asked twice: before the forces and after them.
+            # It is called twice per interval: before and after the forces are switched on.
             return Command("abort") if enabled == (1 if moment == "before" else 2) and stage.done[-1] == last else None
 
     last = "arm" if moment == "before" else "enable"
@@ -341,17 +341,17 @@ def test_a_stop_that_comes_while_the_scene_is_put_in_force_leaves_the_forces_off
 
 
 def _run_with_answers(root: Path, pattern: str, **stop: float) -> tuple[int, str]:
-    """A session whose trials are answered correctly (+) or wrongly (-), and which is aborted and resumed at |: how many
-    were answered, and why it ended."""
+    """Run a session whose answers are correct (+) or wrong (-), with an abort and a resume at |. Return the number of
+    answers, and why it ended."""
     document = {**STUDY, "repetitions": 2, "stop": stop}
-    told = iter(pattern.replace("|", ""))
+    marks = iter(pattern.replace("|", ""))
     right: list[str | None] = [trial.correct for trial in planned(document).trials]
 
     class Answering(ScriptedFront):
         def ready(self, shown: Shown, watched: Any) -> Command | None:
             if pattern[watched.answered] == "|" and watched.attempt == 1:
                 return Command("abort")
-            self.answers = lambda shown: _given(next(told), right[watched.index])
+            self.answers = lambda shown: _given(next(marks), right[watched.index])
             return super().ready(shown, watched)
 
     session = started(root, NotedStage(), Answering(), document)
@@ -374,7 +374,7 @@ def _given(sign: str, right: str | None) -> str:
     ],
 )
 def test_wrong_answers_in_a_row_end_the_test(pattern: str, answered: int, because: str, tmp_path: Path) -> None:
-    """Also where the session was resumed between them."""
+    """The count continues over a resume of the session."""
     assert _run_with_answers(tmp_path, pattern, wrong_in_a_row=3) == (answered, because)
 
 
@@ -383,7 +383,7 @@ def test_wrong_answers_in_a_row_end_the_test(pattern: str, answered: int, becaus
 
 @pytest.mark.long
 def test_a_session_on_a_daemon_arms_with_no_force_and_at_one_tick(tmp_path: Path) -> None:
-    """Between two trials the command is zero before the scene changes, and stays so until the forces come on."""
+    """Between two trials the command is zero before the scene changes, and until the forces are switched on."""
     with (
         running_daemon("-c", str(_config(tmp_path))) as daemon,
         connect(daemon.directory) as client,
@@ -397,14 +397,14 @@ def test_a_session_on_a_daemon_arms_with_no_force_and_at_one_tick(tmp_path: Path
     revisions = samples["revision"]
     changes = np.flatnonzero(np.diff(revisions.astype(np.int64))) + 1
     on = (samples["flags"] & Flag.FORCES_ON) != 0
-    # A machine that is held up loses samples: a change is looked at where both of its ticks are there.
+    # A busy machine loses samples: only changes with the samples of both ticks are checked.
     changes = changes[np.diff(samples["tick"].astype(np.int64))[changes - 1] == 1]
     for at in changes:
         assert not on[at - 1]
         assert not on[at]
         assert samples["force_n"][at - 1].tolist() == [0.0, 0.0]
         assert samples["force_n"][at].tolist() == [0.0, 0.0]
-    # Each trial was felt, and its telemetry is in its file with the forces on in it.
+    # Each trial was felt, and its file has samples with the forces on.
     assert on.any()
     assert np.hypot(*samples["force_n"][on].T).max() > 0.0
     files = [str(record["file"]) for record in _records(tmp_path, "trial_started")]
@@ -415,14 +415,14 @@ def test_a_session_on_a_daemon_arms_with_no_force_and_at_one_tick(tmp_path: Path
         codes = ["trial_armed", "interval", "answer", "forces_off"]
         texts = [mark["text"] for mark in recorded.marks]
         assert texts[-5:] == [*codes, "recorded"]
-        # The first samples of a recording may be those of just before it.
+        # The first samples of a recording may precede the trial.
         assert set(texts[:-5]) <= {"session_begin", "trial_end"}
-        # Whatever is felt in a trial is of one scene.
+        # All forces of a trial belong to one scene.
         felt = (recorded.samples["flags"] & Flag.FORCES_ON) != 0
         scenes.append(set(recorded.samples["revision"][felt].tolist()))
     assert all(len(scene) == 1 for scene in scenes)
     assert len(set.union(*scenes)) == 6
-    # Nothing that other clients read names a stimulus.
+    # No message that other clients can read names a stimulus.
     assert not any("steel" in json.dumps(mark["data"]) for mark in recorded.marks)
 
 
@@ -463,7 +463,7 @@ def test_a_stop_by_somebody_else_is_found_and_no_forces_come_without_a_lease(tmp
             stage.check()
         stage.fade()
         stage.check()
-        # The lease lapsed, as of a runner that was held up while the forces were off.
+        # The lease lapsed, as if the runner had been delayed while the forces were off.
         other.lease(0, stage._token)
         with pytest.raises(RemoteError, match="lease"):
             stage.enable()
@@ -471,7 +471,7 @@ def test_a_stop_by_somebody_else_is_found_and_no_forces_come_without_a_lease(tmp
 
 
 @pytest.mark.slow
-def test_a_daemon_that_is_killed_ends_the_run_in_one_line_and_another_goes_on(tmp_path: Path) -> None:
+def test_a_killed_daemon_ends_the_run_with_an_error_of_one_line_and_the_session_can_be_resumed(tmp_path: Path) -> None:
     with running_daemon("-c", str(_config(tmp_path))) as daemon, connect(daemon.directory, timeout_s=3.0) as client:
 
         class Killing(ScriptedFront):
@@ -482,10 +482,10 @@ def test_a_daemon_that_is_killed_ends_the_run_in_one_line_and_another_goes_on(tm
                 return super().ask(shown, stage)
 
         stage = DaemonStage(client)
-        with pytest.raises(HapticdError) as told, stage:
+        with pytest.raises(HapticdError) as caught, stage:
             started(tmp_path, stage, Killing()).run()
-        assert isinstance(told.value, DaemonNotRunning)
-        assert "\n" not in str(told.value)
+        assert isinstance(caught.value, DaemonNotRunning)
+        assert "\n" not in str(caught.value)
     assert [record["trial"] for record in _records(tmp_path, "answer")] == [0, 1]
     with (
         running_daemon("-c", str(_config(tmp_path))) as daemon,

@@ -1,4 +1,4 @@
-"""The log of a session: what was appended is there, whatever is done to the process or to the file."""
+"""The log of a session: appended records survive, whatever happens to the process or the file."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_each_line_is_json_with_the_checksum_of_all_before_it(tmp_path: Path) ->
         assert int(record["crc32"], 16) == crc
 
 
-def test_a_closed_log_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_a_closed_log_continues_where_it_ended(tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
     _written(path, 2)
     with SessionLog(path) as log:
@@ -68,12 +68,12 @@ def test_a_closed_log_goes_on_where_it_was(tmp_path: Path) -> None:
     assert [record["record"] for record in records] == [0, 1, 2]
 
 
-def test_every_truncation_is_a_shorter_log_or_drops_one_line_and_says_so(tmp_path: Path) -> None:
+def test_every_truncation_is_a_shorter_log_or_drops_one_line_and_reports_it(tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
-    whole = _written(path, 4)
-    ends = [0] + [at + 1 for at, byte in enumerate(whole) if byte == 0x0A]
-    for size in range(len(whole) + 1):
-        path.write_bytes(whole[:size])
+    data = _written(path, 4)
+    ends = [0] + [at + 1 for at, byte in enumerate(data) if byte == 0x0A]
+    for size in range(len(data) + 1):
+        path.write_bytes(data[:size])
         sound = max(number for number, end in enumerate(ends) if end <= size)
         with SessionLog(path) as log:
             answers = [record for record in log.records if record["kind"] == "answer"]
@@ -86,25 +86,25 @@ def test_every_truncation_is_a_shorter_log_or_drops_one_line_and_says_so(tmp_pat
                 assert "\n" not in log.dropped
                 assert log.records[-1]["kind"] == "line_dropped"
                 assert log.records[-1]["bytes"] == size - ends[sound]
-        # What was repaired is sound.
+        # The repaired log is valid.
         assert read_log(path).torn == b""
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_flipped_bit_is_found_wherever_it_is(seed: int, tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
-    whole = _written(path, 5)
-    last = whole.rindex(b"\n", 0, -1) + 1
+    data = _written(path, 5)
+    last = data.rindex(b"\n", 0, -1) + 1
     chance = random.Random(seed)
-    for at in chance.sample(range(len(whole)), 150):
-        flipped = bytearray(whole)
+    for at in chance.sample(range(len(data)), 150):
+        flipped = bytearray(data)
         flipped[at] ^= 1 << chance.randrange(8)
         path.write_bytes(flipped)
         if at < last:
-            with pytest.raises(HapticdError) as told:
+            with pytest.raises(HapticdError) as caught:
                 SessionLog(path)
-            assert "log.jsonl:" in str(told.value)
-            assert "\n" not in str(told.value)
+            assert "log.jsonl:" in str(caught.value)
+            assert "\n" not in str(caught.value)
             assert path.read_bytes() == flipped
         else:
             with SessionLog(path) as log:
@@ -154,7 +154,7 @@ def test_a_full_disk_leaves_the_log_as_it_was(tmp_path: Path, monkeypatch: pytes
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(os, "pwrite", half)
-        # Ten bytes at a time until the rest fits in ten: that part finds no room.
+        # Ten bytes are written at a time. The last part, at most ten bytes, finds no space.
         with pytest.raises(HapticdError, match="No space left on device"):
             log.append("answer", trial=0)
         monkeypatch.undo()
@@ -165,27 +165,27 @@ def test_a_full_disk_leaves_the_log_as_it_was(tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.slow
 def test_killed_at_random_moments_nothing_is_lost_and_nothing_doubled(tmp_path: Path) -> None:
-    """What the process said it had appended is in the log, in order, once; at most one more, which it could not say."""
+    """The log has the records that the process reported as appended, in order and once, and at most one more."""
     path = tmp_path / "log.jsonl"
     chance = random.Random(7)
-    said = -1
+    reported = -1
     for _ in range(12):
         process = subprocess.Popen(
             [sys.executable, "-c", _WRITER, str(path)], stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]
         )
         assert process.stdout is not None
         for _ in range(chance.randrange(1, 60)):
-            said = int(process.stdout.readline())
+            reported = int(process.stdout.readline())
         process.send_signal(signal.SIGKILL)
-        # What it said before the signal came.
+        # The output from before the signal.
         rest = process.stdout.read().split("\n")
-        said = max([said, *(int(line) for line in rest[:-1] if line)])
+        reported = max([reported, *(int(line) for line in rest[:-1] if line)])
         process.stdout.close()
         process.wait()
         contents = read_log(path)
         answers = [record["trial"] for record in contents.records if record["kind"] == "answer"]
         assert answers == list(range(len(answers)))
-        assert said < len(answers) <= said + 2
+        assert reported < len(answers) <= reported + 2
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -204,7 +204,7 @@ def test_a_session_leaves_what_is_no_regular_file_alone(name: str, kind: str, tm
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_log_is_a_regular_file(kind: str, tmp_path: Path) -> None:
-    told = special(tmp_path / "log.jsonl", kind)
+    message = special(tmp_path / "log.jsonl", kind)
     with untouched(tmp_path), pytest.raises(HapticdError) as caught:
         SessionLog(tmp_path / "log.jsonl")
-    assert str(caught.value) == told
+    assert str(caught.value) == message

@@ -1,4 +1,4 @@
-"""The studies that ship: all are sound and shown by the default device, and the paper's are as it describes them."""
+"""The shipped studies are valid, the default device displays them, and the paper's are as the paper describes."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def test_the_default_device_shows_all_of_it_and_no_name_tells(name: str) -> None
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_material_of_the_library_is_named_in_a_scene(name: str) -> None:
-    """The participant's page gets the scene: what its objects are made of has the same names in every trial, but for
-    what every trial has."""
+    """The participant's page gets the scene. Its materials have the same names in every trial, except those that all
+    trials share."""
     study = load_study(name)
     seen = set()
     for trial in plan(study, "P01", 1, 1).trials:

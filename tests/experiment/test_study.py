@@ -1,4 +1,4 @@
-"""A study is read whole, or refused with one line that names file, line, key and what would be right."""
+"""A study is read completely, or refused with a line that names file, line, key and a correction."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.experiment.studies import ADAPTIVE, CONSTANT, LISTED, PAIRS, RATING
 MATERIALS = "    levels: [wood, acrylic, glass, steel]"
 STAIRCASE = "start: 50, least: 1, most: 200, steps: [10, 5], trials: 20}"
 
-# What is mistaken: the study, a text in it, what stands there instead, the text on the line that is named, the message.
+# By the mistake: the study, a text in it, its replacement, the text of the line with the fault, the message.
 MISTAKES = {
     "unknown version": (PAIRS, "experiment: 1", "experiment: 2", "experiment: 2", "should be 1, is 2"),
     "no title": (PAIRS, "title: Which is stiffer?\n", "", "experiment: 1", "title: Field required"),
@@ -303,7 +303,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("text", [PAIRS, ADAPTIVE, LISTED, RATING, CONSTANT])
-def test_a_sound_study_is_read_and_says_all_of_itself(text: str, tmp_path: Path) -> None:
+def test_a_valid_study_is_read_completely(text: str, tmp_path: Path) -> None:
     file = tmp_path / "study.yaml"
     file.write_text(text)
     study = load_study(file)
@@ -325,10 +325,10 @@ def test_a_mistake_is_one_line_with_its_place(name: str, tmp_path: Path) -> None
     file.write_text(text)
     with pytest.raises(HapticdError) as caught:
         load_study(file)
-    told = str(caught.value)
-    assert message in told
-    assert "\n" not in told
-    if not isinstance(caught.value, InvalidError):  # a file that is not there has no line
+    error_text = str(caught.value)
+    assert message in error_text
+    assert "\n" not in error_text
+    if not isinstance(caught.value, InvalidError):  # a missing file has no line
         assert name == "unknown base"
         return
     lines = [number for number, line in enumerate(text.splitlines(), 1) if line_text in line]
@@ -342,8 +342,8 @@ def test_every_mistake_of_a_study_is_reported_at_once(tmp_path: Path) -> None:
     file.write_text(text.replace("cross: [material]", "cross: [materiel]"))
     with pytest.raises(InvalidError) as caught:
         load_study(file)
-    told = str(caught.value)
-    assert "materiel" in told and "stifer" in told and "has no blocks" in told
+    text = str(caught.value)
+    assert "materiel" in text and "stifer" in text and "has no blocks" in text
 
 
 def _faults(data: dict[str, Any]) -> list[str]:
@@ -352,8 +352,8 @@ def _faults(data: dict[str, Any]) -> list[str]:
     return [problem.where for problem in caught.value.problems]
 
 
-def test_a_mistake_of_a_factor_is_told_once_and_those_of_two_places_both() -> None:
-    """Procedures, levels and places of a wrong factor say the same; two variants are two mistakes."""
+def test_a_mistake_of_a_factor_is_reported_once_and_those_of_two_variants_both() -> None:
+    """Procedures, levels and places of a wrong factor give one fault; two wrong variants give two."""
     data = yaml.safe_load(ADAPTIVE)
     data["factors"] = {"decay": {"at": "materials.surface.tap.decay_time_s", "levels": [0.005, -0.02]}}
     data["trial"]["cross"] = ["decay"]
@@ -369,7 +369,7 @@ def test_a_mistake_of_a_factor_is_told_once_and_those_of_two_places_both() -> No
     assert _faults(data) == ["factors.display.variants.silent", "factors.display.variants.ringing"]
 
 
-def test_a_base_file_stands_beside_the_study_and_its_faults_are_placed_there(tmp_path: Path) -> None:
+def test_a_base_file_is_in_the_folder_of_the_study_and_its_faults_have_its_lines(tmp_path: Path) -> None:
     begin, end = PAIRS.index("base:"), PAIRS.index("places:")
     block = PAIRS[begin:end].removeprefix("base:\n")
     (tmp_path / "boxes.yaml").write_text("\n".join(line[2:] for line in block.splitlines()))
@@ -398,7 +398,7 @@ def test_a_study_that_another_command_takes_is_named_so(tmp_path: Path) -> None:
 
 
 def test_a_null_in_a_change_survives(tmp_path: Path) -> None:
-    """A merge patch removes by null: reading, writing out and reading again keep it."""
+    """null removes a key in a merge patch, and remains when a study is read, written and read again."""
     text = RATING.replace(
         "silent: {scene: {display: {vibration: false}}}", "silent: {materials: {surface: {tap: null}}}"
     )

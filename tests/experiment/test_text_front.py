@@ -1,4 +1,4 @@
-"""The keys of a terminal, and the lines of what is no terminal."""
+"""The keys of a terminal, and the lines of another input."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hapticd.experiment.text_front import Keys, TextFront
 
 @pytest.fixture
 def pipe() -> Iterator[tuple[int, TextIO]]:
-    """Its writing end, and its reading end as a stream."""
+    """Return the writing end of a pipe, and its reading end as a stream."""
     read, write = os.pipe()
     with os.fdopen(read) as stream:
         yield write, stream
@@ -24,20 +24,20 @@ def pipe() -> Iterator[tuple[int, TextIO]]:
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, TextIO]]:
-    """What a person types into, and the terminal as a stream."""
+    """Return the end of a terminal into which a person types, and the terminal as a stream."""
     person, end = pty.openpty()
     with os.fdopen(end) as stream:
         yield person, stream
     os.close(person)
 
 
-def test_lines_of_a_pipe_come_one_by_one_and_its_end_is_said(pipe: tuple[int, TextIO]) -> None:
+def test_lines_of_a_pipe_are_read_one_by_one_and_its_end_is_reported(pipe: tuple[int, TextIO]) -> None:
     write, stream = pipe
     keys = Keys(stream)
     assert keys.read(0.0) is None
     os.write(write, b"first\nsec")
     assert keys.read(30.0) == "first"
-    assert keys.line(0.0) is None  # it has not ended
+    assert keys.line(0.0) is None  # the line has not ended
     os.write(write, "ond \N{LATIN SMALL LETTER E WITH ACUTE}\n".encode())
     assert keys.line(30.0) == "second \N{LATIN SMALL LETTER E WITH ACUTE}"
     os.close(write)
@@ -67,12 +67,12 @@ def test_instructions_are_read_without_the_signs_of_markdown(pipe: tuple[int, Te
 
 
 @pytest.mark.parametrize(
-    ("at_most", "said"), [(False, "3 of 124 trials done."), (True, "3 of at most 124 trials done.")]
+    ("at_most", "expected"), [(False, "3 of 124 trials done."), (True, "3 of at most 124 trials done.")]
 )
-def test_a_session_that_may_end_early_says_so(pipe: tuple[int, TextIO], at_most: bool, said: str) -> None:
+def test_a_session_that_may_end_early_shows_at_most(pipe: tuple[int, TextIO], at_most: bool, expected: str) -> None:
     write, stream = pipe
     out = io.StringIO()
     os.write(write, b"\n")
     TextFront(stream, out).begin("Stiffness", "Press.", 3, 124, at_most)
-    assert said in out.getvalue().splitlines()
+    assert expected in out.getvalue().splitlines()
     os.close(write)

@@ -1,4 +1,4 @@
-"""Sessions from the study to the analysis, by the commands: simulated participants, offline."""
+"""Complete sessions, from the study to the analysis, by the commands: simulated participants, offline."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _run(study: Path, root: Path, *more: str, people: tuple[str, ...] = PEOPLE) 
 
 @pytest.fixture(scope="module")
 def ranked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The data set of a ranking study with three simulated participants."""
+    """Return the data set of a ranking study with three simulated participants."""
     root = tmp_path_factory.mktemp("ranking")
     study = root / "ranking.yaml"
     study.write_text(RANKING)
@@ -56,7 +56,7 @@ def ranked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _by_hand(root: Path) -> dict[tuple[str, str], list[list[str]]]:
-    """The stimuli of each condition and cell in the order of each answer, from the files alone."""
+    """Return the stimuli of each condition and cell, in the order of each answer, from the files alone."""
     found: dict[tuple[str, str], list[list[str]]] = defaultdict(list)
     words = ("first", "second", "third")
     for file in root.rglob("*_beh.tsv"):
@@ -71,7 +71,7 @@ def _by_hand(root: Path) -> dict[tuple[str, str], list[list[str]]]:
 
 @pytest.mark.long
 def test_rankings_from_the_hand_to_the_analysis(ranked: Path) -> None:
-    """Mean ranks and Kendall's W (by its definition from the sums of squares of ranks) of each cell of four sets."""
+    """Mean ranks and Kendall's W, by its definition from sums of squares of ranks, of the cells of four sets."""
     listed = next(each for each in analyze([ranked]).tables if each.name == "rankings")
     assert listed.columns == ("condition", "cell", "item", "rankings", "mean rank", "Kendall's W")
     by_hand = _by_hand(ranked)
@@ -84,21 +84,21 @@ def test_rankings_from_the_hand_to_the_analysis(ranked: Path) -> None:
         assert mean == pytest.approx(sum(each.index(str(item)) + 1 for each in rankings) / len(rankings))
         sums = [sum(each.index(name) + 1 for each in rankings) for name in set(rankings[0])]
         spread = sum((each - 2 * len(rankings)) ** 2 for each in sums)
-        most = sum((rank * len(rankings) - 2 * len(rankings)) ** 2 for rank in (1, 2, 3))
-        assert agreement == pytest.approx(spread / most)
+        largest = sum((rank * len(rankings) - 2 * len(rankings)) ** 2 for rank in (1, 2, 3))
+        assert agreement == pytest.approx(spread / largest)
 
 
 @pytest.mark.long
 def test_simulated_participants_rank_by_what_they_feel(ranked: Path) -> None:
-    """Wood is felt as softer than steel by nearly seven times the noise: it is never before it."""
+    """Wood feels softer than steel by nearly seven times the noise, and is never ranked before it."""
     every = [each for rankings in _by_hand(ranked).values() for each in rankings]
     with_both = [each for each in every if {"wood", "steel"} <= set(each)]
     assert len(with_both) == 2 * 2 * len(PEOPLE) * 2
     assert all(each.index("steel") < each.index("wood") for each in with_both)
 
 
-def test_the_correct_ranking_is_what_the_study_says(ranked: Path) -> None:
-    """From the hardest to the softest, in the order of the factor's levels."""
+def test_the_correct_ranking_is_that_of_the_study(ranked: Path) -> None:
+    """It is from the hardest to the softest, in the order of the factor's levels."""
     order = ["steel", "glass", "delrin", "wood"]
     by_hand = _by_hand(ranked)
     right = sum(each == sorted(each, key=order.index) for rankings in by_hand.values() for each in rankings)
@@ -132,7 +132,7 @@ def test_a_folder_holds_the_sessions_of_one_study(ranked: Path, tmp_path: Path) 
 
 
 def test_what_has_no_session_left_to_run_starts_no_daemon_and_no_page(ranked: Path) -> None:
-    """Neither `resume` of a session that is over nor `run` of one that is there."""
+    """Neither `resume` of a session that is over nor `run` of one that already exists."""
     session = ranked / "sub-simA" / "ses-01"
     result = CliRunner().invoke(cli, ["experiment", "resume", str(session), "--demo"])
     assert result.output == ""
@@ -144,7 +144,7 @@ def test_what_has_no_session_left_to_run_starts_no_daemon_and_no_page(ranked: Pa
 
 
 @pytest.mark.long
-def test_a_study_that_was_changed_since_is_told(
+def test_a_study_that_was_changed_since_is_reported(
     ranked: Path, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     changed = tmp_path / "ranking.yaml"
@@ -158,7 +158,7 @@ def test_a_study_that_was_changed_since_is_told(
 
 
 @pytest.mark.long
-def test_what_cannot_be_displayed_is_told_before_a_session(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_undisplayable_stimuli_are_reported_before_a_session(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     study = tmp_path / "stiff.yaml"
     study.write_text(
         RANKING.replace("surface: wood}", "surface: wood, hard: {stiffness_n_per_m: 90000}}").replace(
@@ -179,7 +179,7 @@ def test_a_demo_at_the_terminal_has_no_hand(ranked: Path, tmp_path: Path) -> Non
 
 @pytest.mark.long
 def test_no_trial_begins_after_the_time_of_the_test(tmp_path: Path) -> None:
-    """On the simulated hand's clock, on which a trial of three intervals takes several seconds."""
+    """On the clock of the simulated hand a trial of three intervals takes several seconds."""
     study = tmp_path / "ranking.yaml"
     study.write_text(RANKING + "stop: {after_s: 20}\n")
     assert _run(study, tmp_path / "data", "--offline", people=("A",)).exit_code == 0

@@ -2,9 +2,9 @@
 
     P(i over j) : P(j over i) : P(tie) = s_i : s_j : v sqrt(s_i s_j)
 
-(Davidson, J. American Statistical Association 65, 1970.) The scale is log s with mean 0; a difference of 1 means odds
-of e. v is 0 without ties. The logarithms are found by Newton's method, since the likelihood of this exponential family
-is concave. Intervals are Wald's, from the information matrix.
+s_i is the strength of item i, v the parameter of ties, 0 without ties (Davidson, J. American Statistical Association
+65, 1970). The scale is log s with mean 0: a difference of 1 means odds of e. Newton's method finds the logarithms, as
+the log-likelihood is concave. Intervals are Wald's, from the information matrix.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy.typing as npt
 from hapticd.analysis.statistics import Estimate, FitError, Floats
 
 _MAX_NEWTON_ITERATIONS: Final = 100
-"""Largest number of iterations of Newton's method; then the fit fails."""
+"""Largest number of iterations of Newton's method, after which the fit fails."""
 _NORMAL_QUANTILE: Final = 1.959963984540054
-"""Half width of a 95 % interval in standard errors, the normal quantile of 0.975."""
+"""Half the width of a 95 % interval in standard errors: the normal quantile of 0.975."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +32,9 @@ class Scale:
     strengths: tuple[Estimate, ...]
     """log s of each item, with mean 0."""
     tie: Estimate | None
-    """The parameter v, None without ties."""
+    """The parameter v of ties, or None without ties."""
     covariance: Floats
-    """Covariance (k, k) of log s; its rows sum to 0."""
+    """Covariance matrix (k, k) of log s; its rows sum to 0."""
     log_likelihood: float
     comparisons: int
 
@@ -44,14 +44,14 @@ def bradley_terry(wins: npt.ArrayLike, ties: npt.ArrayLike | None = None, items:
 
     `wins` (k, k) counts how often the item of the row was chosen over that of the column. `ties` (k, k) counts ties;
     (i, j) and (j, i) are added. Comparisons of an item with itself are ignored. Raises FitError if the scale has no
-    finite estimate: if some items never lost to, nor tied with, any of the others (Ford, 1957).
+    finite estimate, because some items never lost to the others and never tied with them (Ford, 1957).
     """
     won = np.array(wins, dtype=float)
     tied = np.zeros_like(won) if ties is None else np.array(ties, dtype=float)
     count = len(won)
     names = tuple(str(place) for place in range(count)) if items is None else tuple(items)
     if won.shape != (count, count) or tied.shape != won.shape or len(names) != count or count < 2:
-        raise FitError("wins and ties must be square tables with a row for each name, of at least two items")
+        raise FitError("wins and ties must be square tables with a row for each item, and at least two items")
     if not ((won >= 0).all() and (tied >= 0).all()):
         raise FitError("wins and ties must not be negative")
     np.fill_diagonal(won, 0.0)
@@ -67,10 +67,10 @@ def bradley_terry(wins: npt.ArrayLike, ties: npt.ArrayLike | None = None, items:
 
 
 def _design(one: npt.NDArray[np.intp], other: npt.NDArray[np.intp], count: int, with_ties: bool) -> Floats:
-    """Return the design matrix (outcomes, pairs, parameters) from the parameters to the log weights of the outcomes.
+    """Return the design matrix (outcomes, pairs, parameters): times the parameters, it is the log weights.
 
-    A term that is common to all outcomes of a pair is omitted. The parameters are log s of all items except the last,
-    which is 0, and with ties log v. There are 3 outcomes, or 2 without ties.
+    The parameters are log s of all items except the last, which is 0, and with ties log v. A pair has 3 outcomes, or 2
+    without ties. A term that all outcomes of a pair have in common is omitted.
     """
     pairs = np.arange(len(one))
     design = np.zeros((3 if with_ties else 2, len(one), count + 1))
@@ -149,6 +149,6 @@ def _check_connected(beaten: Floats, names: tuple[str, ...]) -> None:
         return
     groups = [", ".join(name for name, own in zip(names, part_of, strict=True) if own == part) for part in range(parts)]
     raise FitError(
-        f"no finite scale: between {' | '.join(groups)} all comparisons have one outcome, or are missing; "
+        f"no finite scale: between the groups {' | '.join(groups)} all comparisons have one outcome, or are missing; "
         "more comparisons are needed"
     )

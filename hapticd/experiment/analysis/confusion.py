@@ -5,9 +5,9 @@ Information is in bits: T = sum of p(s, r) log2(p(s, r) / (p(s) p(r))) (Miller a
 
     (sum over stimuli of (R_s - 1) - (R - 1)) / (2 n ln 2)
 
-where R is the number of different answers that were given, R_s that of answers to stimulus s, and n the number of
-trials (Panzeri and Treves, Network 7, 1996; if all answers are given to all stimuli it is Miller's
-(S - 1)(R - 1) / (2 n ln 2)). The corrected estimate is clipped to the range from 0 to the entropy of the stimuli.
+where n is the number of trials, R that of different answers, and R_s that of different answers to stimulus s (Panzeri
+and Treves, Network 7, 1996). If each of S stimuli received all answers, it is Miller's (S - 1)(R - 1) / (2 n ln 2). The
+corrected estimate is clipped to the range from 0 to the entropy of the stimuli.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Confusion:
 
     @property
     def percent(self) -> Floats:
-        """Answers in percent of their stimulus's trials (stimuli, answers); NaN for a stimulus without trials."""
+        """Percentage (stimuli, answers) of a stimulus's trials with each answer; NaN for a stimulus without trials."""
         total = self.counts.sum(axis=1, keepdims=True)
         return np.asarray(
             np.divide(100.0 * self.counts, total, out=np.full(self.counts.shape, np.nan), where=total > 0)
@@ -41,26 +41,26 @@ class Confusion:
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """Information transfer in bits per trial."""
+    """Information that answers transfer about stimuli, in bits per trial."""
 
     transfer: float
-    """Estimate from the counts."""
+    """Estimate of the transfer, from the counts."""
     corrected: float
-    """Estimate minus its bias."""
+    """Estimate of the transfer minus its bias."""
     stimuli: float
     """Entropy of the stimuli, the largest possible transfer."""
 
     @property
     def relative(self) -> float:
-        """Corrected transfer divided by the entropy of the stimuli; NaN with one stimulus."""
+        """Corrected transfer divided by the entropy of the stimuli; NaN for a single stimulus."""
         return self.corrected / self.stimuli if self.stimuli > 0 else float("nan")
 
 
 def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str] = ()) -> Confusion:
-    """Return the confusion matrix of trials.
+    """Return the confusion matrix of trials, from the stimulus shown and the answer given in each trial.
 
-    Stimuli and answers are sorted as in `order`; others follow in the order of the trials. Raises FitError
-    without trials, and for lists of different lengths.
+    Stimuli and answers are sorted as in `order`; other names follow, in the order of the trials. Raises FitError
+    without trials, and if the numbers of stimuli and answers differ.
     """
     if len(shown) != len(answered) or not shown:
         raise FitError(f"a confusion matrix needs one answer per trial, has {len(answered)} for {len(shown)} trials")
@@ -72,7 +72,10 @@ def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str
 
 
 def information(counts: npt.ArrayLike) -> Information:
-    """Return the information transfer of counts (stimuli, answers). Raises FitError for invalid counts."""
+    """Return the information transfer, from the counts (stimuli, answers) of a confusion matrix.
+
+    Raises FitError for invalid counts.
+    """
     table = np.asarray(counts, dtype=float)
     total = table.sum()
     if table.ndim != 2 or not (table >= 0).all() or not total > 0:

@@ -1,9 +1,9 @@
 """Fit many psychometric functions at once: the most probable parameters of b sets of answers to the same levels.
 
-The parameters of a set are (threshold on the axis, log of the slope, guess, lapse). The first two are bounded by the
-levels (see `Box`). An estimated guess or lapse has the prior Beta(1, 10) of psignifit (Schuett, Harmeling, Macke and
-Wichmann, Vision Research 122, 2016); a given one is fixed. The search is Fisher scoring with Levenberg's damping on the
-parameters that are not at a bound, from the best point of a coarse grid.
+The parameters are threshold (on the axis), log of the slope, guess and lapse. The levels bound threshold and slope (see
+`Box`). Guess and lapse are fixed, or estimated with the prior Beta(1, 10) of psignifit (Schuett, Harmeling, Macke and
+Wichmann, Vision Research 122, 2016). The search begins at the best point of a coarse grid. It is Fisher scoring with
+Levenberg's damping, on the parameters that are not at a bound.
 """
 
 from __future__ import annotations
@@ -13,64 +13,71 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.experiment.analysis.psychometric_shapes import Floats, Shape, density, rise
+from hapticd.analysis.statistics import Floats
+from hapticd.experiment.analysis.psychometric_shapes import Shape, density, rise
 
 THRESHOLD, SLOPE, GUESS, LAPSE = range(4)
 MAX_ESTIMATED_RATE: Final = 0.3
-"""Upper bound of an estimated guess or lapse."""
+"""Upper bound of an estimated guess or lapse, which are probabilities."""
 _PRIOR_EXPONENT: Final = 9.0
-"""Exponent of the prior Beta(1, 10): its logarithm is this times log(1 - rate)."""
+"""Exponent of the prior Beta(1, 10) of a guess or lapse: its logarithm is this number times log(1 - rate)."""
 MAX_SEARCH_ROUNDS: Final = 60
-"""Largest number of iterations of the search from a grid point."""
+"""Largest number of iterations of a search that begins at a point of the grid."""
 MAX_RESAMPLE_ROUNDS: Final = 12
-"""Largest number of iterations for a resample, whose search begins at the fit, near the maximum."""
+"""Largest number of iterations for a resample of a fit: the search begins at the fit, near the maximum."""
 SEARCH_TOLERANCE: Final = 1e-11
-"""The search ends if a step gains less log probability than this."""
+"""The search ends after a step that increases the log probability by less than this."""
 RESAMPLE_TOLERANCE: Final = 1e-6
-"""Tolerance of the search for a resample, equivalent to 0.0014 standard errors."""
+"""SEARCH_TOLERANCE of the search for a resample. It corresponds to 0.0014 standard errors of a parameter."""
 _MIN_SEARCH_STEP: Final = 1e-7
-"""The search ends if a step that gains nothing changes every parameter by less than this."""
+"""The search ends after a step that gains no probability and changes every parameter by less than this."""
 _MIN_POSITIVE: Final = 1e-12
-"""Lower bound of probabilities, also added to the diagonal of the information matrix. Avoids log(0) and 1 / 0."""
+"""Lower bound of probabilities, also added to the diagonal of the information matrix: avoids log(0) and 1 / 0."""
 _GRID_POINTS: Final = (25, 11)
-"""Number of thresholds and of slopes of the initial grid."""
+"""Numbers of thresholds and of slopes of the grid at which a search begins."""
 _MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Lower and upper bounds (4,) of threshold, log of the slope, guess and lapse."""
+    """Lower and upper bounds (4,) of the parameters: threshold, log of the slope, guess and lapse."""
 
     low: Floats
     high: Floats
 
     @classmethod
     def around(cls, positions: Floats, guess: float | None, lapse: float | None) -> Box:
-        """Return the bounds of the parameters for stimulus levels at `positions` (k,) on the axis.
+        """Return the bounds of the parameters for stimuli at `positions` (k,) on the axis, in a range of width w.
 
-        The threshold is at most one range beyond the lowest or highest level. The slope is from 0.05 / range to 6 / d,
-        where d is the smallest distance of two levels: then a logistic function rises from 5 to 95 % within d.
+        The threshold is at most w beyond the lowest or highest position. The slope is from 0.05 / w to 6 / d, where d
+        is the smallest distance of two positions: with 6 / d a logistic function rises from 5 to 95 % within d.
         """
         ordered = np.unique(positions)
-        span, least = float(ordered[-1] - ordered[0]), float(np.diff(ordered).min())
+        span, step = float(ordered[-1] - ordered[0]), float(np.diff(ordered).min())
         low = [ordered[0] - span, np.log(0.05 / span), *(0.0 if rate is None else rate for rate in (guess, lapse))]
         high = [
             ordered[-1] + span,
-            np.log(6.0 / least),
+            np.log(6.0 / step),
             *(MAX_ESTIMATED_RATE if rate is None else rate for rate in (guess, lapse)),
         ]
         return cls(np.array(low), np.array(high))
 
 
 def modelled(shape: Shape, positions: Floats, parameters: Floats, sign: float) -> Floats:
-    """Return the probabilities (b, k) of positive answers for parameters (b, 4); `sign` -1: falling function."""
+    """Return the probabilities (b, k) of positive answers at `positions` (k,) on the axis, for parameters (b, 4).
+
+    `sign` is 1 for a function that rises with the level, -1 for one that falls.
+    """
     z = sign * (positions - parameters[:, THRESHOLD, None]) * np.exp(parameters[:, SLOPE, None])
     guess, lapse = parameters[:, GUESS, None], parameters[:, LAPSE, None]
     return np.asarray(guess + (1.0 - guess - lapse) * rise(shape, z))
 
 
 def log_likelihood(positive: Floats, trials: Floats, probability: Floats) -> Floats:
-    """Return the log likelihoods (b,) of b sets of answers to k levels, without the binomial coefficients."""
+    """Return the log likelihoods (b,) of b sets of answers to k levels, without the binomial coefficients.
+
+    `positive` and `trials` (b, k) count positive and all answers.
+    """
     bounded = np.clip(probability, _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
     return np.asarray((positive * np.log(bounded) + (trials - positive) * np.log1p(-bounded)).sum(axis=1))
 
@@ -86,10 +93,10 @@ def most_probable(
     tolerance: float = SEARCH_TOLERANCE,
     rounds: int = MAX_SEARCH_ROUNDS,
 ) -> Floats:
-    """Return the most probable parameters (b, 4) for answers (b, k) at `positions` (k,) on the axis.
+    """Return the most probable parameters (b, 4) for b sets of answers to stimuli at `positions` (k,) on the axis.
 
     `positive` and `trials` (b, k) count positive and all answers. The search begins at `starts` (b, 4), by default at
-    the best points of a grid. It ends if a step gains less than `tolerance` of log probability.
+    the best points of a grid. It ends after a step that increases the log probability by less than `tolerance`.
     """
     found = _starts(shape, positions, positive, trials, box, sign) if starts is None else starts.copy()
     damping = np.full(len(found), 1e-3)
@@ -140,15 +147,15 @@ def _step(
     sign: float,
     damping: Floats,
 ) -> Floats:
-    """Return the change (b, 4) of the parameters by a step of Fisher scoring, 0 for those that stay at a bound."""
+    """Return the change (b, 4) of the parameters in a step of Fisher scoring, 0 for parameters that stay at a bound."""
     slope = np.exp(parameters[:, SLOPE, None])
     guess, lapse = parameters[:, GUESS, None], parameters[:, LAPSE, None]
     z = sign * (positions - parameters[:, THRESHOLD, None]) * slope
-    share = rise(shape, z)
-    probability = np.clip(guess + (1.0 - guess - lapse) * share, _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
+    risen = rise(shape, z)
+    probability = np.clip(guess + (1.0 - guess - lapse) * risen, _MIN_POSITIVE, 1.0 - _MIN_POSITIVE)
     steep = (1.0 - guess - lapse) * density(shape, z)
     free = [int(place) for place in np.flatnonzero(box.high > box.low)]
-    columns = {THRESHOLD: -sign * steep * slope, SLOPE: steep * z, GUESS: 1.0 - share, LAPSE: -share}
+    columns = {THRESHOLD: -sign * steep * slope, SLOPE: steep * z, GUESS: 1.0 - risen, LAPSE: -risen}
     by = np.stack([columns[each] for each in free], axis=1)  # (b, p, k)
     variance = probability * (1.0 - probability)
     gradient = (by @ ((positive - trials * probability) / variance)[:, :, None])[:, :, 0]

@@ -1,4 +1,4 @@
-"""Paired comparison of two conditions by a measure of the motion: difference, tests and effect size."""
+"""Compares two conditions by a measure of the motion of the same participants: difference, tests and effect size."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from hapticd.analysis.statistics import CONFIDENCE_LEVEL, Estimate, FitError, st
 
 @dataclass(frozen=True, slots=True)
 class PairedComparison:
-    """A paired comparison: one condition minus the other; differences have the unit of the measure."""
+    """A paired comparison of two conditions: differences, one minus the other, have the unit of the measure."""
 
     participants: int
     difference: Estimate
-    """Mean difference, with the interval of Student's t."""
+    """Mean difference, with its interval from Student's t distribution."""
     standard_deviation: float
     """Standard deviation of the differences."""
     effect_size: Estimate
-    """Cohen's d_z, the mean of the differences divided by their standard deviation, with the interval of the noncentral
-    t distribution.
+    """Cohen's d_z, the mean of the differences divided by their standard deviation, with its interval from the
+    noncentral t distribution.
     """
     t: float
     """Statistic of the paired t test."""
@@ -33,13 +33,14 @@ class PairedComparison:
 
 
 def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = CONFIDENCE_LEVEL) -> PairedComparison:
-    """Compare the values (n,) of two conditions, of the same participants in the same order.
+    """Compare the values (n,) of the same n participants, in the same order, in two conditions.
 
-    Raises FitError for fewer than two participants, and if all differences are equal.
+    `level` is the confidence level of the intervals. Raises FitError for fewer than two participants, for unequal
+    numbers of values, for values that are not finite, and if all differences are equal.
     """
     first, second = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     if first.ndim != 1 or first.shape != second.shape:
-        raise FitError("a paired comparison needs equal numbers of values of both conditions")
+        raise FitError("a paired comparison needs as many values of one condition as of the other")
     if len(first) < 2:
         raise FitError(f"a comparison needs at least two participants with both conditions, has {len(first)}")
     differences = first - second
@@ -66,7 +67,10 @@ def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = CONFIDENCE_L
 
 
 def noncentrality(t: float, freedom: int, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
-    """Return the interval of the noncentrality parameter of a t statistic (Steiger and Fouladi, 1997)."""
+    """Return the interval of the noncentrality parameter of a t statistic (Steiger and Fouladi, 1997).
+
+    `freedom` is the number of degrees of freedom, `level` the confidence level.
+    """
     from scipy.optimize import brentq
     from scipy.special import nctdtr
 

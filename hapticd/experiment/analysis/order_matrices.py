@@ -1,6 +1,6 @@
-"""Percent correct of each pair of items, as in Tables 2 and 3 of Okamura, Dennerlein and Howe (1998).
+"""Tables of percent correct of each pair of items, as Tables 2 and 3 of Okamura, Dennerlein and Howe (1998).
 
-Both orders of a pair are counted together. The diagonal holds comparisons of an item with itself.
+Both orders of a pair are counted together. The diagonal has the comparisons of an item with itself.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from hapticd.analysis.statistics import FitError, Floats, Ints
 
 @dataclass(frozen=True, slots=True)
 class OrderMatrix:
-    """Trials and correct answers of each pair: a lower triangle with its diagonal."""
+    """Trials and correct answers of each pair of k items: lower triangles with their diagonals."""
 
     items: tuple[str, ...]
     correct: Ints
-    """Correct answers (k, k), 0 above the diagonal."""
+    """Numbers of correct answers (k, k), 0 above the diagonal."""
     trials: Ints
-    """Answers (k, k), 0 above the diagonal."""
+    """Numbers of trials (k, k), 0 above the diagonal."""
 
     @property
     def percent(self) -> Floats:
-        """Percent correct (k, k), NaN without trials and above the diagonal."""
+        """Percent correct (k, k); NaN for a pair without trials, and above the diagonal."""
         return np.asarray(
             np.divide(100.0 * self.correct, self.trials, out=np.full(self.trials.shape, np.nan), where=self.trials > 0)
         )
@@ -35,7 +35,7 @@ class OrderMatrix:
 def order_matrix(pairs: Iterable[tuple[str, str]], correct: Iterable[bool], items: Sequence[str]) -> OrderMatrix:
     """Return the trials and correct answers of each pair, with rows and columns in the order of `items`.
 
-    Raises FitError for unknown items.
+    `pairs` has the items of each trial, `correct` whether its answer was correct. Raises FitError for unknown items.
     """
     places = {name: place for place, name in enumerate(items)}
     trials = np.zeros((len(places), len(places)), dtype=np.int64)
@@ -50,10 +50,10 @@ def order_matrix(pairs: Iterable[tuple[str, str]], correct: Iterable[bool], item
 
 
 def rank_correlation(ours: npt.ArrayLike, published: npt.ArrayLike) -> tuple[float, int]:
-    """Return Spearman's rank correlation over the cells that are finite in both tables, and the number of cells.
+    """Return Spearman's rank correlation over the cells that are finite in both tables, and the number of these cells.
 
     The correlation is NaN for fewer than three cells, or if either table is constant in these cells. Raises FitError
-    for tables of different size.
+    for tables of different sizes.
     """
     one, other = np.asarray(ours, dtype=float).ravel(), np.asarray(published, dtype=float).ravel()
     if one.shape != other.shape:

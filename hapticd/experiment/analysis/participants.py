@@ -12,7 +12,7 @@ from hapticd.analysis.statistics import FitError
 
 @dataclass(frozen=True, slots=True)
 class Quartiles:
-    """Median and quartiles of one value per participant, in the unit of the values."""
+    """Median and quartiles over participants, each with one value, in the unit of the values."""
 
     participants: int
     median: float
@@ -23,7 +23,7 @@ class Quartiles:
 
 
 def quartiles(values: Sequence[float]) -> Quartiles:
-    """Return the quartiles of one value per participant. Raises FitError without values."""
+    """Return median and quartiles of one value per participant. Raises FitError without values."""
     if not len(values):
         raise FitError("no participant has a value: quartiles need at least one")
     low, median, high = np.quantile(np.asarray(values, dtype=float), (0.25, 0.5, 0.75))
@@ -31,15 +31,15 @@ def quartiles(values: Sequence[float]) -> Quartiles:
 
 
 def mean_of_each(values: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """Return the mean of each participant's values; participants without values are omitted."""
+    """Return the mean of the values of each participant. Participants without values are omitted."""
     return {name: float(np.mean(own)) for name, own in values.items() if len(own)}
 
 
 def mean_ranks(rankings: Sequence[Sequence[str]]) -> tuple[dict[str, float], float]:
-    """Return the mean rank of each item, 1 being first, and Kendall's coefficient of concordance W.
+    """Return the mean rank of each item, 1 being first, and Kendall's coefficient of concordance W of the rankings.
 
-    W is 0 without agreement and 1 if all rankings are equal. Raises FitError without rankings, or if they do not all
-    contain the same items, each once.
+    W is 0 without agreement and 1 if all rankings are equal. Raises FitError without rankings, or unless each ranking
+    contains the same items, each once.
     """
     if not rankings or len(rankings[0]) < 2:
         raise FitError("mean ranks need at least one ranking of at least two items")

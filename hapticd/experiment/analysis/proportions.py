@@ -1,4 +1,4 @@
-"""Percent correct: Wilson intervals and exact tests against chance, by scipy."""
+"""Proportions of correct answers, with Wilson's intervals and exact tests against chance, by scipy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hapticd.analysis.statistics import CONFIDENCE_LEVEL, FitError
 
 @dataclass(frozen=True, slots=True)
 class Proportion:
-    """The proportion of successes among trials, between 0 and 1, with its interval and test."""
+    """A proportion of successes among trials, between 0 and 1, with its interval and a test against chance."""
 
     successes: int
     trials: int
@@ -24,7 +24,11 @@ class Proportion:
 
 
 def proportion(successes: int, trials: int, chance: float | None = None, level: float = CONFIDENCE_LEVEL) -> Proportion:
-    """Return the proportion of successes. Raises FitError for impossible counts, or a chance level outside 0 to 1."""
+    """Return the proportion of successes among trials, with its interval of confidence `level`.
+
+    `chance` is the probability of a success by guessing. Raises FitError if `chance` is outside 0 to 1, or for
+    impossible counts.
+    """
     if trials < 1 or not 0 <= successes <= trials:
         raise FitError(
             f"successes must be between 0 and the number of trials (at least 1), are {successes} of {trials}"

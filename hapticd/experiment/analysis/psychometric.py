@@ -4,11 +4,12 @@ Fits maximize the likelihood, with a weak prior on an estimated lapse or guess (
 from a parametric bootstrap (Wichmann and Hill, "The psychometric function: II", Perception & Psychophysics 63, 2001):
 answers are drawn from the fitted function and fitted again, and the ends of an interval are percentiles.
 
-Figures, in the unit of the level unless stated otherwise:
+F is the function without guess and lapse (psychometric_shapes). The figures have the unit of the level unless stated
+otherwise:
 
-    threshold         level at z = 0: halfway from guess to 1 - lapse, for a Weibull function 1 - 1/e of the way
-    pse               point of subjective equality: F = 1/2
-    jnd               just noticeable difference: half the distance between F = 1/4 and F = 3/4
+    threshold         level at which F = 1/2, for a Weibull function 1 - 1/e
+    pse               point of subjective equality: level at which F = 1/2
+    jnd               just noticeable difference: half the distance between the levels at which F = 1/4 and F = 3/4
     weber_fraction    jnd / standard, or jnd / PSE if there is no standard; a ratio
     slope             as in psychometric_shapes, in the inverse unit of the axis
     guess, lapse      probabilities
@@ -22,7 +23,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.statistics import CONFIDENCE_LEVEL, Estimate, FitError
+from hapticd.analysis.statistics import CONFIDENCE_LEVEL, Estimate, FitError, Floats
 from hapticd.experiment.analysis.likelihood_search import (
     GUESS,
     LAPSE,
@@ -37,7 +38,6 @@ from hapticd.experiment.analysis.likelihood_search import (
 )
 from hapticd.experiment.analysis.psychometric_shapes import (
     PSYCHOMETRIC_SHAPES,
-    Floats,
     Shape,
     axis,
     inverse,
@@ -48,18 +48,18 @@ from hapticd.experiment.analysis.psychometric_shapes import (
 )
 
 PSYCHOMETRIC_FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
-"""Names of the figures of a fit, as listed above."""
+"""Names of the figures of a fit. The docstring of the module defines them."""
 BOOTSTRAP_RESAMPLES: Final = 2000
-"""Number of resamples for an interval."""
+"""Default number of resamples of a bootstrap."""
 _STEP_MARGIN: Final = 0.05
-"""A fitted F within this distance of 0 or 1 at every level is a step. Resampled answers would equal the original ones,
-and the interval of the threshold would have no width.
+"""A fitted function F that is within this distance of 0 or 1 at every level counts as a step. Resampled answers would
+equal the original ones, and the interval of the threshold would have no width.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class PsychometricFit:
-    """A fitted psychometric function and its answers."""
+    """A fitted psychometric function, with the answers at k levels that it was fitted to."""
 
     shape: Shape
     logarithmic: bool
@@ -67,34 +67,35 @@ class PsychometricFit:
     levels: Floats
     """Levels (k,)."""
     positive: Floats
-    """Number of positive answers (k,)."""
+    """Numbers of positive answers (k,)."""
     trials: Floats
-    """Number of answers (k,)."""
+    """Numbers of answers (k,)."""
     parameters: Floats
-    """Parameters (4,) of likelihood_search."""
+    """Threshold on the axis, log of the slope, guess and lapse (4,)."""
     box: Box
     standard: float | None
+    """Level of the standard, for the Weber fraction, or None."""
 
     @property
     def figures(self) -> dict[str, float]:
-        """The figures of the fit, such as threshold and jnd, by their names in PSYCHOMETRIC_FIGURES."""
+        """The figures of the fit, such as threshold and jnd, by name; see PSYCHOMETRIC_FIGURES."""
         return {name: float(value[0]) for name, value in figures_of(self, self.parameters[None]).items()}
 
     @property
     def deviance(self) -> float:
-        """Twice the difference in log likelihood between the observed proportions and the function."""
+        """Twice the difference between the log likelihoods of the observed proportions and of the function."""
         return float(_deviance(self, self.positive[None], self.parameters[None])[0])
 
     def undetermined(self, unit: str) -> str | None:
-        """Return why the answers do not determine the PSE and which answers would, or None if they do.
+        """Return why the answers do not determine the PSE, with a remedy, or None if they determine it.
 
         `unit` is the unit of the levels, for the text.
         """
         half_way, slope = self.figures["pse"], self.parameters[SLOPE]
         low, high = float(self.levels.min()), float(self.levels.max())
-        shares = self.positive / self.trials
+        proportions = self.positive / self.trials
         center = np.average(_places(self), weights=self.trials)
-        if _sign(self) * float(self.trials @ ((_places(self) - center) * shares)) <= 0:
+        if _sign(self) * float(self.trials @ ((_places(self) - center) * proportions)) <= 0:
             way, keys = ("more", "`rising: false`, or `harder: higher`") if self.rising else ("fewer", "`rising: true`")
             return (
                 f"correct answers do not become {way} from {low:g} to {high:g} {unit}: if they should become "
@@ -116,11 +117,11 @@ class PsychometricFit:
 
     @property
     def as_steep_as_levels_show(self) -> bool:
-        """Whether the fitted slope is at its upper bound, which the smallest distance of two levels sets."""
+        """Whether the fitted slope is at its upper bound, which depends on the smallest distance of two levels."""
         return bool(self.parameters[SLOPE] >= self.box.high[SLOPE])
 
     def probability(self, levels: Floats) -> Floats:
-        """Return the probability of a positive answer at levels of any shape."""
+        """Return the fitted probability of a positive answer at each of `levels`, an array of any shape."""
         threshold = level(self.parameters[THRESHOLD], self.logarithmic)
         slope = np.exp(self.parameters[SLOPE]) * (1.0 if self.rising else -1.0)
         guess, lapse = self.parameters[GUESS], self.parameters[LAPSE]
@@ -139,10 +140,10 @@ def fit(
     rising: bool = True,
     standard: float | None = None,
 ) -> PsychometricFit:
-    """Fit a psychometric function to `positive` of `trials` answers, both (k,), at levels (k,) in any order.
+    """Fit a psychometric function to answers at levels (k,) in any order: `positive` (k,) of `trials` (k,) answers.
 
-    `guess` and `lapse` are fixed; None estimates them. Raises FitError for answers at fewer than two levels, for
-    impossible counts, and if all answers are equal.
+    `guess` and `lapse` are fixed probabilities; one that is None is estimated. Raises FitError for answers at fewer
+    than two levels, for impossible counts or parameters, and if all answers are equal.
     """
     if shape not in PSYCHOMETRIC_SHAPES:
         raise FitError(f"unknown psychometric function {shape!r}; known: {', '.join(PSYCHOMETRIC_SHAPES)}")
@@ -172,7 +173,7 @@ def fit(
 def bootstrap(
     found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0, level: float = CONFIDENCE_LEVEL
 ) -> dict[str, Estimate]:
-    """Return the PSYCHOMETRIC_FIGURES of a fit with bootstrap intervals; the same seed yields the same intervals."""
+    """Return the PSYCHOMETRIC_FIGURES of a fit, with bootstrap intervals. Equal seeds give equal intervals."""
     generator = np.random.Generator(np.random.PCG64(seed))
     _, refitted = _resampled(found, generator, resamples)
     values, spread = figures_of(found, found.parameters[None]), figures_of(found, refitted)
@@ -184,7 +185,7 @@ def bootstrap(
 
 
 def goodness_of_fit(found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0) -> float:
-    """Return the p value of the fit's deviance by a parametric bootstrap."""
+    """Return the p value of a fit's deviance by a parametric bootstrap: low if the function fits the answers badly."""
     generator = np.random.Generator(np.random.PCG64(seed))
     drawn, refitted = _resampled(found, generator, resamples)
     as_large = np.count_nonzero(_deviance(found, drawn, refitted) >= found.deviance)
@@ -192,9 +193,9 @@ def goodness_of_fit(found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES
 
 
 def percentiles(spread: Floats, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
-    """Return the ends of the interval that contains the fraction `level` of resampled values (n,).
+    """Return the ends of the interval that contains the fraction `level` of the resampled values `spread` (n,).
 
-    Both ends are interpolated order statistics at (n + 1) times the tail probabilities.
+    Both ends are interpolated order statistics, at (n + 1) times the tail probabilities.
     """
     rest = 0.5 * (1.0 - level)
     low, high = np.quantile(spread, (rest, 1.0 - rest), method="weibull")
@@ -202,11 +203,11 @@ def percentiles(spread: Floats, level: float = CONFIDENCE_LEVEL) -> tuple[float,
 
 
 def figures_of(found: PsychometricFit, parameters: Floats) -> dict[str, Floats]:
-    """Return PSYCHOMETRIC_FIGURES, each (b,), of parameters (b, 4) with the shape and axis of `found`."""
+    """Return the PSYCHOMETRIC_FIGURES, each (b,), for parameters (b, 4), with the shape and axis of the fit `found`."""
     sign, slope = _sign(found), np.exp(parameters[:, SLOPE])
 
-    def at(share: float) -> Floats:
-        place = parameters[:, THRESHOLD] + sign * inverse(found.shape, share) / slope
+    def at(proportion: float) -> Floats:
+        place = parameters[:, THRESHOLD] + sign * inverse(found.shape, proportion) / slope
         return level(place, found.logarithmic)
 
     pse, jnd = at(0.5), 0.5 * np.abs(at(0.75) - at(0.25))
@@ -232,7 +233,7 @@ def _sign(found: PsychometricFit) -> float:
 
 
 def _resampled(found: PsychometricFit, generator: np.random.Generator, count: int) -> tuple[Floats, Floats]:
-    """Draw positive answers (count, k) from a fit; return them and the parameters (count, 4) that fit them."""
+    """Return numbers of positive answers (count, k), drawn from a fit, and the parameters (count, 4) fitted to them."""
     chances = np.clip(modelled(found.shape, _places(found), found.parameters[None], _sign(found)), 0.0, 1.0)[0]
     drawn = generator.binomial(found.trials.astype(np.int64), chances, (count, len(chances))).astype(float)
     starts = np.repeat(found.parameters[None], count, axis=0)
@@ -251,7 +252,7 @@ def _resampled(found: PsychometricFit, generator: np.random.Generator, count: in
 
 
 def _deviance(found: PsychometricFit, positive: Floats, parameters: Floats) -> Floats:
-    """Return the deviances (b,) of b sets of answers to k levels from the functions of `parameters` (b, 4)."""
+    """Return the deviances (b,) of functions with parameters (b, 4) from b sets of answers to the k levels of a fit."""
     of = np.broadcast_to(found.trials, positive.shape)
     own = log_likelihood(positive, of, positive / of)
     return 2.0 * (own - log_likelihood(positive, of, modelled(found.shape, _places(found), parameters, _sign(found))))

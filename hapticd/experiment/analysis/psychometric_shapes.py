@@ -2,10 +2,10 @@
 
     P(x) = guess + (1 - guess - lapse) F((u(x) - u(threshold)) slope)
 
-`F` is one of PSYCHOMETRIC_SHAPES; `u` is the level itself, or its natural logarithm on a logarithmic axis. The
-threshold has the unit of the level. The slope has the inverse unit of u: 1/s of a logistic function, 1/standard
-deviation of a cumulative normal, the exponent (beta) of a Weibull function. F(0) is 1/2, for a Weibull function
-1 - 1/e. (Wichmann and Hill, "The psychometric function: I", Perception & Psychophysics 63, 2001.)
+F is one of PSYCHOMETRIC_SHAPES. u(x) is the level itself, or on a logarithmic axis its natural logarithm. The threshold
+has the unit of the level. The slope has the inverse unit of u: 1 / scale of a logistic function, 1 / standard deviation
+of a cumulative normal, the exponent (beta) of a Weibull function. F(0) is 1/2, for a Weibull function 1 - 1/e.
+(Wichmann and Hill, "The psychometric function: I", Perception & Psychophysics 63, 2001.)
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import math
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-Floats: TypeAlias = npt.NDArray[np.float64]
+from hapticd.analysis.statistics import Floats
+
 Shape: TypeAlias = Literal["logistic", "weibull", "cumulative_normal"]
 PSYCHOMETRIC_SHAPES: Final[tuple[Shape, ...]] = ("logistic", "weibull", "cumulative_normal")
 _MAX_EXPONENT: Final = 700.0
-"""Largest argument of exp; the result is still finite."""
+"""Larger arguments of exp are reduced to this one, whose result is finite."""
 
 
 def axis(levels: Floats, logarithmic: bool) -> Floats:
-    """Return levels on the axis u: unchanged, or their natural logarithms.
+    """Return the positions of levels on the axis: the levels, or their natural logarithms on a logarithmic axis.
 
     Raises ValueError for levels that are not positive on a logarithmic axis.
     """
@@ -37,18 +37,18 @@ def axis(levels: Floats, logarithmic: bool) -> Floats:
 
 
 def level(place: Floats, logarithmic: bool) -> Floats:
-    """Return the levels at positions on the axis u; the inverse of `axis`."""
+    """Return the levels at positions on the axis: the inverse of `axis`."""
     given = np.asarray(place, dtype=float)
     return np.exp(np.minimum(given, _MAX_EXPONENT)) if logarithmic else given
 
 
 def is_logarithmic(shape: Shape, logarithmic: bool) -> bool:
-    """Return whether the axis of a function is logarithmic; that of a Weibull function always is."""
+    """Return whether the axis of a psychometric function is logarithmic, as it always is for a Weibull function."""
     return logarithmic or shape == "weibull"
 
 
 def rise(shape: Shape, z: Floats) -> Floats:
-    """Return the psychometric function F(z), between 0 and 1, at z = (u(x) - u(threshold)) slope."""
+    """Return the psychometric function F(z) without guess and lapse, from 0 to 1; z is 0 at the threshold."""
     if shape == "logistic":
         return np.asarray(0.5 * (1.0 + np.tanh(0.5 * z)))
     if shape == "weibull":
@@ -59,7 +59,7 @@ def rise(shape: Shape, z: Floats) -> Floats:
 
 
 def density(shape: Shape, z: Floats) -> Floats:
-    """Return the derivative dF/dz of the psychometric function F(z)."""
+    """Return the derivative dF/dz of the psychometric function F(z) without guess and lapse."""
     if shape == "logistic":
         return np.asarray(0.25 / np.cosh(np.clip(0.5 * z, -350, 350)) ** 2)
     if shape == "weibull":
@@ -69,7 +69,7 @@ def density(shape: Shape, z: Floats) -> Floats:
 
 
 def inverse(shape: Shape, proportion: Floats | float) -> Floats:
-    """Return the z where the psychometric function F(z) is `proportion`; infinite for 0 and 1, NaN outside 0 to 1."""
+    """Return the z at which the psychometric function F(z) is `proportion`; infinite at 0 and 1, NaN outside 0 to 1."""
     p = np.asarray(proportion, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         if shape == "logistic":
@@ -90,9 +90,9 @@ def probability(
     lapse: Floats | float = 0.0,
     logarithmic: bool = False,
 ) -> Floats:
-    """Return the probability of a positive answer at levels; all arguments are broadcast together.
+    """Return the probability of a positive answer at levels. The arrays of all arguments are broadcast together.
 
-    A negative slope is a falling function.
+    The function falls with the level if the slope is negative.
     """
     on_axis = is_logarithmic(shape, logarithmic)
     z = (axis(levels, on_axis) - axis(np.asarray(threshold, dtype=float), on_axis)) * slope

@@ -1,4 +1,4 @@
-"""The content of the experimenter's page."""
+"""The content of the experimenter's page: state of the session, and saved answers."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from hapticd.experiment.session_log import Record
 
 Doing: TypeAlias = Literal["begins", "reads", "armed", "withdraws", "felt", "rests", "paused", "over"]
 MAX_CONSOLE_LINES: Final = 200
-"""Number of lines of the log that the page shows, the newest ones."""
+"""The page shows at most this many lines of the log, the newest ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A saved answer, as the experimenter's page lists it."""
+    """An answer that was saved, as the experimenter's page lists it."""
 
     trial: int
     """Index of the trial in the plan, from 0."""
@@ -36,7 +36,7 @@ class Row:
 
 @dataclass(slots=True)
 class Console:
-    """The state of a session for the experimenter."""
+    """The state of a session, as the experimenter's page shows it."""
 
     title: str
     participant: str
@@ -47,13 +47,13 @@ class Console:
     done: int = 0
     doing: Doing = "begins"
     screen: int = 0
-    """Number of the participant's screen."""
+    """Number of the screen that the participant sees."""
     goes_on: str | None = None
-    """Label of the button to continue; None disables it."""
+    """Label of the button to continue, or None if the button is disabled."""
     trial: Watched | None = None
     phase: str = ""
     asked: str = ""
-    """Text of the question that the participant reads."""
+    """Text of the question that the participant reads, in Markdown."""
     here: dict[str, bool] = field(default_factory=lambda: {"participant": False, "experimenter": False})
     auto: bool = False
     """Whether trials begin automatically."""
@@ -65,7 +65,7 @@ class Console:
         return asdict(self)
 
     def say(self, line: str) -> None:
-        """Append a line to the log that the experimenter's page shows."""
+        """Append a line to the log on the experimenter's page."""
         self.lines = [*self.lines, line][-MAX_CONSOLE_LINES:]
 
 

@@ -1,12 +1,12 @@
 """The methods of the experimenter's page, in addition to those of every page of `hapticd web`.
 
-    experiment.watch    {since} -> the console (console.py) and the answers from index `since` on; counts as a heartbeat
+    experiment.watch    {since} -> state of the session (console.py), answers from index `since` on; also a heartbeat
     experiment.beat     {}: heartbeat
     experiment.go_on    {screen}: the button to continue was pressed on a screen
     experiment.command  {kind: pause | repeat | abort | note, text}
     experiment.auto     {on}: whether trials begin automatically
 
-After every change the page receives {"experiment": {...}}: the console, with the number of answers as `answers`.
+After every change the page receives {"experiment": {...}}: the state of the session. Its `answers` is their number.
 """
 
 from __future__ import annotations
@@ -15,20 +15,18 @@ from collections.abc import Mapping
 from typing import Final
 
 from hapticd.base.errors import HapticdError
-from hapticd.experiment.front import Command, CommandKind
+from hapticd.experiment.front import COMMAND_KINDS, Command
 from hapticd.experiment.pages.pages_front import PagesFront
 from hapticd.experiment.pages.participant_page import screen_number
 from hapticd.experiment.pages.presence import Presence
 from hapticd.web.page import Method, Page
 
-COMMAND_KINDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
-"""Kinds of commands that the page may send."""
 MAX_COMMAND_CHARACTERS: Final = 10_000
 """Longest text of a command, such as a note."""
 
 
 def methods(front: PagesFront, presence: Presence) -> dict[str, Method]:
-    """Return the methods that the experimenter's page may call, by name."""
+    """Return the functions that the experimenter's page may call, by the name of the method."""
 
     async def watch(page: Page, params: Mapping[str, object]) -> object:
         since = params.get("since", 0)
@@ -72,5 +70,5 @@ def methods(front: PagesFront, presence: Presence) -> dict[str, Method]:
 
 
 def news(front: PagesFront) -> dict[str, object]:
-    """Return the message to the experimenter's page after a change: the console without its answers."""
+    """Return the message to the experimenter's page after a change: the state of the session, without the answers."""
     return {"experiment": front.console()}

@@ -1,7 +1,7 @@
-"""The front of a session in the browser: the screens of both pages, and the messages from them.
+"""The front (user interface) of a session in the browser: content of both pages, and messages from them.
 
 The session's thread calls the methods of `Front`, which block. The event loop calls `go_on`, `answer`, `command`,
-`here` and `set_auto`, which do not block. A screen is never modified: a new one replaces it under a lock, and then
+`here` and `set_auto`, which do not block. A screen is never modified: a new screen replaces it under a lock, and then
 `changed` is called.
 """
 
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.front import CLEARANCE_POLL_S, Command, Reply, Seen, Shown, Watched
+from hapticd.experiment.front import CLEARANCE_POLL_S, STAGE_CHECK_INTERVAL_S, Command, Reply, Seen, Shown, Watched
 from hapticd.experiment.pages import screens
 from hapticd.experiment.pages.console import Console, Doing, Row, rows_of
 from hapticd.experiment.pages.screens import Screen
@@ -26,10 +26,8 @@ from hapticd.experiment.session_log import Record
 from hapticd.experiment.stage import Stage
 
 Who: TypeAlias = Literal["participant", "experimenter"]
-STAGE_CHECK_INTERVAL_S: Final = 0.5
-"""Time between two checks that the forces are still on (`Stage.check`), while waiting for a page."""
 PAGES_SERVER_TIMEOUT_S: Final = 3.0
-"""The server of the pages counts as stuck if it does not report for this time."""
+"""The server of the pages counts as stuck if it does not call `server_runs` for this time."""
 _WAIT_TEXT: Final = "Please wait for the experimenter."
 _EXPERIMENTER_AWAY_TEXT: Final = (
     "The experimenter is away. The session waits, without forces, until the experimenter is back and continues it."
@@ -50,14 +48,14 @@ class _Answer:
 
 
 class _StateChanged:
-    """A message that a page was opened or closed, or that automatic trials were switched on or off."""
+    """The message that a page was opened or closed, or that automatic trials were switched on or off."""
 
 
 _PageMessage: TypeAlias = "_Continue | _Answer | _StateChanged | Command"
 
 
 class PagesFront:
-    """The user interface of a session with a page for participant and experimenter; see `Front` for the methods."""
+    """The user interface of a session with two pages, for participant and experimenter; see `Front` for the methods."""
 
     def __init__(self, plan: Plan, changed: Callable[[], None]) -> None:
         """Create the user interface for the session of a plan.
@@ -76,38 +74,38 @@ class PagesFront:
         self._feedback = ""
         self._stopped = threading.Event()
         self._server_s: float | None = None
-        """Time of the last report of the pages' server, on time.monotonic; None: there is no server."""
+        """Time of the last call of `server_runs`, in s of time.monotonic; None without a server."""
         self._until_s = 0.0
-        """End of the current screen's time limit, or of its shortest break, on time.monotonic."""
+        """End of the time limit of an answer, or of the shortest duration of a break, in s of time.monotonic."""
         self._least_s = 0.0
-        """Shortest duration of the current break, in seconds."""
+        """Shortest duration of the current break, in s."""
 
     # ---- Content of the pages; for any thread ---------------------------------------------------------------------
 
     @property
     def screen(self) -> Screen:
-        """The screen of the participant's page; `least_s` is the time until a break may end."""
+        """The screen of the participant's page. During a break `least_s` is the time in s until the break may end."""
         with self._lock:
             return {**self._screen, "least_s": self._left_s()} if self._console.doing == "rests" else self._screen
 
     @property
     def notice(self) -> str:
-        """Notice on the participant's page that the experimenter is away, else empty."""
+        """Notice on the participant's page that the experimenter is away, or an empty text."""
         with self._lock:
             present = self._console.here["experimenter"] or self._console.doing == "over"
         return "" if present else _EXPERIMENTER_AWAY_TEXT
 
     @property
     def surfaces(self) -> Sequence[Seen]:
-        """The surfaces of the current trial."""
+        """The surfaces that the participant's page shows: those of the current interval, none without a trial."""
         with self._lock:
             shown, screen = self._shown, self._screen
         return () if shown is None else shown.surfaces_of(int(str(screen["interval"])))
 
     def console(self) -> dict[str, Any]:
-        """Return the content of the experimenter's page without the answers; `answers` is their number.
+        """Return the content of the experimenter's page as JSON data, with the number of answers, not the answers.
 
-        During a break `least_s` is its shortest duration, `left_s` the time until it may end. Otherwise both are 0.
+        During a break `least_s` is its shortest duration and `left_s` the time until it may end, in s, otherwise 0.
         """
         with self._lock:
             rests = self._console.doing == "rests"
@@ -115,38 +113,41 @@ class PagesFront:
             return {**self._console.to_dict(), "answers": len(self._rows), "least_s": least_s, "left_s": left_s}
 
     def rows(self, since: int = 0) -> list[dict[str, Any]]:
-        """Return the saved answers from index `since` on, as JSON data."""
+        """Return the saved answers of the session from index `since` on, as JSON data."""
         with self._lock:
             return [row.to_dict() for row in self._rows[since:]]
 
     # ---- Messages of the pages; for the event loop --------------------------------------------------------------
 
     def here(self, who: Who, is_here: bool) -> None:
-        """Store whether the page of `who` is open and responds."""
+        """Receive whether the page of `who` is open and responds."""
         with self._lock:
             self._console.here = {**self._console.here, who: is_here}
         self._inbox.put(_StateChanged())
         self._changed()
 
     def set_auto(self, auto: bool) -> None:
-        """Switch automatic trials on or off."""
+        """Receive whether trials begin automatically."""
         with self._lock:
             self._console.auto = auto
         self._inbox.put(_StateChanged())
         self._changed()
 
     def go_on(self, who: Who, screen: int) -> None:
-        """Continue after the button of a screen was pressed; a press on an earlier screen has no effect."""
+        """Receive a press of the button to continue on a screen. A press on an earlier screen has no effect."""
         self._inbox.put(_Continue(who, screen))
 
     def command(self, command: Command) -> None:
-        """Receive a command of the experimenter, or the stop of either page (`abort`)."""
+        """Receive a command of the experimenter. The stop of either page is the command `abort`."""
         if command.kind == "abort":
             self._stopped.set()
         self._inbox.put(command)
 
     def answer(self, screen: int, value: object) -> None:
-        """Receive an answer, which has no effect if it is to an earlier screen. Raises ValueError if it is invalid."""
+        """Receive the answer to the question of a screen. An answer to an earlier screen has no effect.
+
+        Raises ValueError if the answer is invalid.
+        """
         with self._lock:
             shown, current = self._shown, self._screen
         if shown is None or current["screen"] != screen or current.get("question") is None:
@@ -156,22 +157,21 @@ class PagesFront:
     # ---- The session's thread ---------------------------------------------------------------------------------
 
     def opened(self, records: Sequence[Record]) -> None:
-        """Show the experimenter the answers that the session's log already contains."""
+        """Show the experimenter the answers in the records of the session's log, before the session continues."""
         with self._lock:
             self._rows = rows_of(records, self._plan.trials)
         self._changed()
 
     def over(self, line: str, text: str, complete: bool) -> None:
-        """Show that the session has ended, or will be continued later.
+        """Show `line` to the experimenter and `text` to the participant, after the end of the run.
 
-        `line` is shown to the experimenter, `text` to the participant. The feedback on the last trial is added only if
-        the session is complete.
+        The participant reads the feedback on the last trial only if the session is complete.
         """
         self._show(screens.over(f"{text}\n\n{self._feedback if complete else ''}"), "over")
-        self.tell(line)
+        self.show_line(line)
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
-        """Show the study's instructions, and wait until the experimenter begins the session."""
+        """Show the instructions of a study, and wait until the experimenter begins the session."""
         self._set(done=done, total=total, at_most=at_most)
         self._show(screens.read(f"# {title}\n\n{instructions}\n\n---\n\n{_WAIT_TEXT}", None), "begins", "Begin")
         return self._wait_to_continue("experimenter")
@@ -187,7 +187,7 @@ class PagesFront:
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
         """Show that a trial is ready, and wait until the experimenter enables the forces."""
         self._set(trial=watched, phase=shown.phase, asked=shown.text, done=shown.number - 1)
-        # The feedback on the trial before is kept for the next screen: with automatic trials this screen is short.
+        # The feedback on the previous trial is kept for the next screen: with automatic trials this screen is short.
         screen = screens.trial(shown, interval=1, felt=False, asks=False, feedback=self._feedback)
         self._show(screen, "armed", "Enable the forces", shown)
         return self._wait_to_continue("experimenter", automatic=True)
@@ -207,7 +207,7 @@ class PagesFront:
         return None
 
     def may_enable(self) -> Command | None:
-        """Return a command that keeps the forces off: an abort after a stop, a pause if a page is away."""
+        """Return a command that keeps the forces off, or None: an abort after a stop, a pause if a page is away."""
         if self._stopped.is_set():
             return Command("abort", "the stop was pressed")
         return self._pause_if_away()
@@ -233,16 +233,16 @@ class PagesFront:
         self._changed()
 
     def feedback(self, text: str, right: str | None) -> None:
-        """Keep the feedback on a trial for the next screen."""
+        """Keep the feedback on a trial for the participant's next screen."""
         self._feedback = text
 
     def not_done(self, trial: int, why: str) -> None:
-        """Keep the reason why the trial begins again for the next screen, and show it to the experimenter."""
+        """Keep the reason why a trial begins again for the participant's next screen; show it to the experimenter."""
         self._feedback = f"{why} The trial begins again."
-        self.tell(f"trial {trial} begins again: {why}")
+        self.show_line(f"trial {trial} begins again: {why}")
 
     def rest(self, text: str | None, least_s: float) -> Command | None:
-        """Show a break; after its shortest duration wait until participant or experimenter continues."""
+        """Show a break, and wait for its shortest duration, and until participant or experimenter continues."""
         if self._console.doing != "rests":
             self._least_s, self._until_s = least_s, time.monotonic() + least_s
             self._show(screens.read(text or "A break.", "Continue", least_s), "rests", "Continue")
@@ -250,9 +250,9 @@ class PagesFront:
         return message if isinstance(message, Command) else self._wait_to_continue("participant", "experimenter")
 
     def _too_early(self, message: _PageMessage | None) -> None:
-        """Show the remaining time to an experimenter who continues before the end of the shortest allowed break."""
+        """Show an experimenter who presses "Continue" too early the time until the break may end."""
         if message is not None and _continued(message, ("experimenter",)) is not None:
-            self.tell(f"The break lasts at least {self._least_s:g} s: {math.ceil(self._left_s())} s left")
+            self.show_line(f"The break lasts at least {self._least_s:g} s: {math.ceil(self._left_s())} s left")
 
     def _left_s(self) -> float:
         return max(0.0, self._until_s - time.monotonic())
@@ -264,7 +264,7 @@ class PagesFront:
             pass  # the session is already paused
         return message
 
-    def tell(self, line: str) -> None:
+    def show_line(self, line: str) -> None:
         """Append a line to the log on the experimenter's page."""
         with self._lock:
             self._console.say(line)
@@ -278,7 +278,7 @@ class PagesFront:
                 setattr(self._console, name, value)
 
     def _show_felt(self, shown: Shown, interval: int, asks: bool) -> None:
-        """Show a trial whose forces are on. If the trial is shown already, its screen and time limit are unchanged."""
+        """Show a trial whose forces are on. If the screen already shows it, screen and time limit are unchanged."""
         screen = self._screen
         same = screen.get("felt") and (screen["interval"], screen["question"] is not None) == (interval, asks)
         if self._shown is shown and same:
@@ -299,7 +299,7 @@ class PagesFront:
         self._changed()
 
     def server_runs(self) -> None:
-        """Note that the pages' server runs; called a few times per second. A stuck server would not receive a stop."""
+        """Store that the server of the pages runs, a few times per second: a stuck server would not receive a stop."""
         self._server_s = time.monotonic()
 
     def _missing(self) -> list[str]:
@@ -309,19 +309,19 @@ class PagesFront:
         return [*missing, "the pages' server"] if stuck else missing
 
     def _pause_if_away(self) -> Command | None:
-        """Return the command to pause if a page is closed or does not respond, else None."""
+        """Return the command to pause if a page, or the server of the pages, does not respond, else None."""
         missing = self._missing()
         if not missing:
             return None
         line = f"paused: {' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} away"
-        self.tell(line)
+        self.show_line(line)
         return Command("pause", line)
 
     def _wait_to_continue(self, *who: Who, automatic: bool = False) -> Command | None:
-        """Wait until one of `who` continues while both pages are open, or return a command.
+        """Wait until one of `who` continues while both pages are open. Returns a command that ends the wait, or None.
 
-        With `automatic`, it does not wait if trials begin automatically. The press of a participant while the
-        experimenter is away takes effect when the experimenter is back.
+        With `automatic`, the wait ends immediately if trials begin automatically. If the participant continues while
+        the experimenter is away, the wait ends when the experimenter is back.
         """
         willing = False
 
@@ -336,11 +336,11 @@ class PagesFront:
             )
             missing = self._missing()
             if missing and pressed and not auto:
-                self.tell(f"{' and '.join(missing)} must be open to continue")
+                self.show_line(f"{' and '.join(missing)} must be open to continue")
             return True if (auto or pressed or willing) and not missing else None
 
         if accept(None):
-            # Commands that were given before this screen take effect first.
+            # A command that was given before this screen takes effect first.
             return self._pending_command()
         message = self._wait(accept)
         return message if isinstance(message, Command) else None
@@ -357,9 +357,9 @@ class PagesFront:
     def _wait(
         self, accept: Callable[[_PageMessage], Any], stage: Stage | None = None, deadline: float = math.inf
     ) -> Any | Command | None:
-        """Wait for a page's message about the current screen.
+        """Wait for a message about the current screen for which `accept` does not return None, and return its result.
 
-        Returns the result of `accept`, a command, or None at the deadline. With a `stage` the forces are on:
+        Returns instead a command that comes meanwhile, or None at the deadline. A `stage` means that the forces are on:
         `stage.check` is called, and a closed page causes a pause.
         """
         number, next_check_s = self.screen["screen"], 0.0
@@ -389,7 +389,7 @@ def _continued(message: _PageMessage, who: Sequence[Who]) -> bool | None:
 
 
 def _value_of(shown: Shown, value: object) -> str | float | None:
-    """Convert the answer of a page to the answer in the data. Raises ValueError if it is invalid."""
+    """Convert the answer of a page to the answer that is stored. Raises ValueError if the answer is invalid."""
     if shown.kind == "measure":
         return None
     if shown.kind == "choice":

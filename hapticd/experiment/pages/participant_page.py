@@ -1,4 +1,4 @@
-"""The methods of the participant's page, which receives only screens and the position of the drawn stylus.
+"""The methods of the participant's page, which receives only screens and the position at which the stylus is drawn.
 
     participant.screen    {} -> {screen, notice, hand}: the current screen; a notice (a text, or ""); whether this page
                           moves the hand of the simulated joystick
@@ -7,8 +7,8 @@
     participant.answer    {screen, answer}: index from 0 of a choice, null for a measure, else a text or a number
     participant.stop      {}: end the session
 
-Of the daemon's methods it may call `set_forces` (to switch off, since it never has a lease) and, with the simulated
-joystick, `stream_target`.
+Of the daemon's methods the page may call `set_forces` and, with the simulated joystick, `stream_target`. It can only
+switch the forces off, because it never has a lease.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ STOP_METHODS: Final = frozenset(("set_forces",))
 HAND_METHODS: Final = frozenset(("stream_target",))
 """Methods of the daemon that the page may also call with the simulated joystick."""
 STYLUS_TOPIC: Final = "stylus"
-"""Topic of the messages [x, y]: the position in m at which the stylus is drawn."""
+"""Topic of the messages [x, y] to the page, the position in m at which it draws the stylus."""
 
 
 def screen_number(params: Mapping[str, object]) -> int:
-    """Return the number of the screen in a call's parameters.
+    """Return `screen`, the number of a screen, from the parameters of a call by a page.
 
-    Raises HapticdError if it is missing or not an integer.
+    Raises HapticdError if `screen` is missing or not an integer.
     """
     number = params.get("screen")
     if not isinstance(number, int) or isinstance(number, bool):
-        raise HapticdError("screen: must be the number of the screen")
+        raise HapticdError("screen: must be the number of a screen, an integer")
     return number
 
 
 def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Method]:
-    """Return the methods that the participant's page may call, by name.
+    """Return the functions that the participant's page may call, by the name of the method.
 
     `hand` is whether the page moves the hand of the simulated joystick.
     """
@@ -58,7 +58,7 @@ def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Meth
     async def screen(page: Page, _: Mapping[str, object]) -> object:
         if presence.follow(page):
             for older in newest:
-                # Only one page may answer, and decide whether the participant is away.
+                # Only the newest page may answer, and only its heartbeats count.
                 older.end("The session continues in another window, where this page was opened again.")
             newest[:] = [page]
         return {"screen": front.screen, "notice": front.notice, "hand": hand}
@@ -93,13 +93,13 @@ def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Meth
 
 
 class StylusRelay:
-    """Receives the daemon's states, and sends the pages the position at which to draw the stylus."""
+    """Receives the states of the daemon, and sends the participant's pages the position at which to draw the stylus."""
 
     def __init__(self, front: PagesFront, pages: Callable[[], Iterable[Page]]) -> None:
         self._front, self._pages = front, pages
 
     def telemetry(self, topic: str, message: bytes) -> None:
-        """Send the pages the position of the stylus in a state message of the daemon."""
+        """Send the pages the position at which to draw the stylus, from `message`, a state of the daemon."""
         state = cast("dict[str, Any]", cast("list[Any]", messages.decode_trusted(message))[1])
         x, y = state["position_m"]
         at = drawn_at((x, y), bool(state["flags"] & Flag.CONTACT), self._front.surfaces)

@@ -1,4 +1,4 @@
-"""Detection of whether a page is open and its script runs."""
+"""Detects by heartbeats which pages are open and whether their scripts run."""
 
 from __future__ import annotations
 
@@ -10,16 +10,13 @@ from typing import Final
 from hapticd.web.page import Page
 
 PRESENCE_TIMEOUT_S: Final = 3.0
-"""A page without a heartbeat for this time is away: its browser is frozen, or its network is lost.
-
-Pages send 4 heartbeats per second.
-"""
+"""A page without a heartbeat for this time counts as away. Pages send 4 heartbeats per second."""
 _SWEEP_INTERVAL_S: Final = 0.25
 """Time between two checks of the heartbeats."""
 
 
 class Presence:
-    """The open and responding pages of one kind, participant's or experimenter's; for use in the event loop only."""
+    """The open and responding pages of one kind, participant's or experimenter's. Use it in the event loop only."""
 
     def __init__(
         self,
@@ -30,7 +27,8 @@ class Presence:
     ) -> None:
         """Create a presence without pages.
 
-        `changed` is called when the first page comes or the last leaves, `swept` per check.
+        `changed` is called with True when the first page comes, and with False when the last page leaves. `swept` is
+        called after each check of the heartbeats.
         """
         self._swept = swept
         self._changed, self._away_s, self._now = changed, away_s, now
@@ -39,11 +37,11 @@ class Presence:
 
     @property
     def here(self) -> bool:
-        """Whether a page of this kind is present."""
+        """Whether a page of this kind is open and responds."""
         return bool(self._heard)
 
     def follow(self, page: Page) -> bool:
-        """Arrange that a page is removed when it is closed. Returns False if this was already arranged."""
+        """Remove a page as soon as it is closed. Returns False if the page was already followed."""
         if page in self._followed:
             return False
         self._followed.add(page)
@@ -52,7 +50,7 @@ class Presence:
         return True
 
     def beat(self, page: Hashable) -> None:
-        """Store a heartbeat of a page."""
+        """Store the time of a heartbeat of a page."""
         was = self.here
         self._heard[page] = self._now()
         if not was:
@@ -64,13 +62,13 @@ class Presence:
             self._changed(False)
 
     def sweep(self) -> None:
-        """Remove the pages whose last heartbeat is too old."""
+        """Remove the pages that sent no heartbeat for `away_s`."""
         now = self._now()
         for page in [page for page, heard in self._heard.items() if now - heard > self._away_s]:
             self.leave(page)
 
     async def run(self) -> None:
-        """Check the heartbeats repeatedly, until cancelled."""
+        """Check the heartbeats of all pages every _SWEEP_INTERVAL_S, until cancelled."""
         while True:
             await asyncio.sleep(_SWEEP_INTERVAL_S)
             self.sweep()

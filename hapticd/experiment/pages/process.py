@@ -31,7 +31,7 @@ from hapticd.web.tasks import ended
 from hapticd.web.telemetry_hub import TelemetryHub
 
 STATIC_FOLDER: Final = Path(__file__).parent / "static"
-"""Folder of the pages' files."""
+"""Folder of the HTML, CSS and JavaScript files of both pages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Options:
     """Whether the daemon has the simulated joystick."""
     host: str
     port: int
-    """Port of the participant's page; the experimenter's is the next one. 0 chooses free ports."""
+    """Port of the participant's page. The experimenter's page has the next port. 0 chooses two free ports."""
     open_browser: bool
     tls_cert: str | None = None
     tls_key: str | None = None
@@ -51,10 +51,10 @@ class Options:
 
 
 def run(options: Options, front: PagesFront, news: News, session: Callable[[], int]) -> int:
-    """Serve the pages while `session` runs in a thread, and return its result.
+    """Serve both pages while `session` runs in a thread, and return the result of `session`.
 
     SIGINT and SIGTERM end the session like the experimenter's button; SIGUSR1 prints new addresses. Raises HapticdError
-    if a port is not available, and exceptions of the session.
+    if a port is not available, and the exceptions that `session` raises.
     """
     with ExitStack() as stack:
         at = []
@@ -67,7 +67,7 @@ def run(options: Options, front: PagesFront, news: News, session: Callable[[], i
 
 
 class News:
-    """Notifies the event loop, from any thread, that the content of a page has changed."""
+    """A callable that notifies the event loop, from any thread, that the content of a page has changed."""
 
     def __init__(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -79,7 +79,7 @@ class News:
             self._loop.call_soon_threadsafe(self._event.set)
 
     async def listened(self, send: Callable[[], None]) -> None:
-        """Call `send` once, and again after one or more changes of the pages' content, until cancelled."""
+        """Call `send` now, and again after one or more changes of the pages' content, until cancelled."""
         self._loop, self._event = asyncio.get_running_loop(), asyncio.Event()
         try:
             while True:
@@ -158,7 +158,7 @@ class _SessionPages:
         return made
 
     def _address(self, who: Who) -> str:
-        """Return a new address of a page, which opens the page once."""
+        """Return a new address of the page of `who`. An address can be opened once."""
         return f"{self._at[who].url}/?token={self._sessions[who].new_token()}"
 
     def _print_addresses(self) -> list[str]:
@@ -184,7 +184,7 @@ def _add_routes(pages: Pages, app: Any) -> None:
 
 
 def _in_thread(loop: asyncio.AbstractEventLoop, session: Callable[[], int]) -> asyncio.Future[int]:
-    """Run the session in a separate thread, as it would block a thread of a pool. Return a future of its result."""
+    """Run `session` in a new thread, as it would block a thread of a pool, and return a future of its result."""
     done: asyncio.Future[int] = loop.create_future()
 
     def settle(code: int | None, error: BaseException | None) -> None:

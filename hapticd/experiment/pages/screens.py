@@ -1,16 +1,17 @@
-"""The screens of the participant's page.
+"""The screens of the participant's page, as JSON data.
 
-A screen is a mapping with its `kind` and its number, `screen`, which messages from the page about this screen repeat.
+A screen has its kind as `kind` and its number as `screen`. Messages of the page about a screen contain this number.
 
     read    html; go_on: label of the button, or null; least_s: time in s until the button works
     wait    html: a text while the participant waits for the experimenter
     trial   number, total, at_most, phase, surfaces, stimuli, in_places, interval; felt: whether the forces are on;
-            withdraws: whether the handle must be moved out before the forces are enabled; `told`: feedback;
-            question, null before it is asked: kind, html, answers, low, high, step, ends, most_characters, left_s
+            withdraws: whether the handle must be moved out before the forces are enabled; `told`: feedback on the
+            previous trial; question, null if it is not shown: kind, html, answers, low, high, step, ends,
+            most_characters, left_s
     over    html: a text after the session
 
-Answers are numbered, and have a label and a key. No screen contains the name of a stimulus, a factor, a level, a
-condition, a cell, or an answer.
+An answer has a label and a key, but no name. No screen contains the name of a stimulus, a factor, a level, a condition
+or a cell.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ def _markdown() -> MarkdownIt:
 
 
 def html(markdown: str) -> str:
-    """Convert Markdown to HTML without scripts."""
+    """Convert Markdown to HTML, without scripts."""
     return str(_markdown().render(markdown.strip()))
 
 
 def read(markdown: str, go_on: str | None, least_s: float = 0.0) -> Screen:
-    """Return a screen with a text; its button is labelled `go_on` and works after `least_s`."""
+    """Return a screen with a text and a button labelled `go_on`, if any, which works after `least_s` seconds."""
     return {"kind": "read", "html": html(markdown), "go_on": go_on, "least_s": least_s}
 
 
@@ -49,7 +50,7 @@ def wait(markdown: str) -> Screen:
 
 
 def over(markdown: str) -> Screen:
-    """Return the screen after the session."""
+    """Return the screen with a text after the session."""
     return {"kind": "over", "html": html(markdown)}
 
 
@@ -66,7 +67,8 @@ def trial(
     """Return the screen of a trial.
 
     `interval` counts from 1. `felt` is whether the forces are on, `asks` whether the question is shown, `withdraws`
-    whether the handle is behind a surface. `left_s` is the remaining time, `feedback` the text on the previous trial.
+    whether the handle must be moved out first. `left_s` is the time for the answer in s, `feedback` the text
+    on the previous trial.
     """
     return {
         "kind": "trial",
@@ -92,7 +94,7 @@ def _question(shown: Shown, left_s: float | None) -> dict[str, object]:
     return {
         "kind": shown.kind,
         "html": html(shown.text),
-        # An answer without a key has its number. faults.py refuses a study in which that is the key of another answer.
+        # An answer without a key has its number as key. faults.py refuses a study in which another answer has this key.
         "answers": [
             {"label": each.label, "key": each.key or str(number)} for number, each in enumerate(shown.answers, 1)
         ],

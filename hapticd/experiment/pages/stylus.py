@@ -1,6 +1,7 @@
 """The position at which the stylus is drawn, which must not reveal the material.
 
-The depth of the handle in a surface depends on the stiffness. So a stylus that touches a surface is drawn on it.
+The depth of the handle in a surface depends on its stiffness. A stylus that touches a surface is therefore drawn on the
+surface.
 """
 
 from __future__ import annotations
@@ -11,11 +12,11 @@ from hapticd.experiment.front import Seen
 
 
 def drawn_at(position_m: tuple[float, float], touches: bool, surfaces: Sequence[Seen]) -> tuple[float, float]:
-    """Return the position in m at which to draw a handle at `position_m`: if it touches, on the surface above it.
+    """Return the position in m at which the stylus is drawn for a handle at `position_m`.
 
-    Of several surfaces, the nearest one along the surface is used. Beyond the end of a surface and at the side of a box
-    the stylus is drawn at the height of the surface, so that no depth is ever visible. A handle that touches nothing is
-    drawn at its position, also behind a punctured membrane.
+    If the handle touches an object, the stylus is drawn at the height of the surface above it, also beyond the end of
+    the surface and at the side of a box: no depth is visible. Of several surfaces, the one with the smallest distance
+    beyond its end is used. A handle that touches nothing, also behind a punctured membrane, is drawn at `position_m`.
     """
     x, y = position_m
     found = [(*each.from_surface(position_m), each.normal) for each in surfaces] if touches else []

@@ -1,7 +1,7 @@
 """The motions of a simulated hand: taps, strokes and presses of varied speed and depth, with tremor.
 
-A hand knows the surfaces but not their materials. Its waypoints are the reference of the simulated joystick's
-grip; grip and rendered force move the handle, in a closed loop.
+A hand knows the surfaces but not their materials. Its waypoints are the target of the grip of the simulated joystick.
+Grip and rendered force move the handle, in a closed loop.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.analysis.statistics import Floats
 from hapticd.experiment.front import Seen
 from hapticd.experiment.stage import Waypoints
 
@@ -21,37 +22,37 @@ WAYPOINT_INTERVAL_S: Final = 0.005
 WAY_OUT_DURATION_S: Final = 0.5
 """Duration of the motion out of a surface."""
 HOVER_HEIGHT_M: Final = 0.008
-"""Height of the hand above a surface before it touches it."""
+"""Height of the hand above a surface before a touch."""
 TREMOR_BAND_HZ: Final = (8.0, 12.0)
-"""Frequencies of the physiological tremor of the hand: Elble and Koller, Tremor, 1990."""
+"""Range of frequencies of the physiological tremor of a hand (Elble and Koller, Tremor, 1990)."""
 
 
 @dataclass(frozen=True, slots=True)
 class HandParameters:
-    """Parameters of a hand's motions. Speeds and depths are medians of lognormal distributions, chosen for hapticd."""
+    """Parameters of the motions of a hand. Speeds, depths and reaction times are medians of lognormal distributions."""
 
     tap_speed_m_per_s: float = 0.12
     stroke_speed_m_per_s: float = 0.06
     press_speed_m_per_s: float = 0.03
     depth_m: float = 0.006
-    """Depth below the surface at which the hand aims."""
+    """Depth below the surface to which the hand aims."""
     spread: float = 0.2
-    """Standard deviation of the logarithm of speeds and depths."""
+    """Standard deviation of the logarithm of speeds, depths and reaction times."""
     tremor_m: float = 40e-6
-    """RMS of the tremor on each axis."""
+    """Root mean square of the tremor on each axis."""
     reaction_s: float = 0.16
     """Median time from a felt event to the start of a movement."""
 
 
 class Hand:
-    """A simulated hand, which returns waypoints of taps, strokes and presses, with its random generator."""
+    """A simulated hand, which returns waypoints of taps, strokes and presses. They are random."""
 
     def __init__(self, chance: np.random.Generator, parameters: HandParameters | None = None) -> None:
         self._chance = chance
         self.parameters = parameters or HandParameters()
 
     def taps(self, surface: Seen, count: int = 3) -> Waypoints:
-        """Return waypoints (n, 3) of taps near the middle of a surface."""
+        """Return waypoints (n, 3) of `count` taps near the middle of a surface."""
         given = self.parameters
         points: list[tuple[float, float, float]] = [(0.2, 0.0, HOVER_HEIGHT_M)]
         for _ in range(count):
@@ -66,7 +67,7 @@ class Hand:
         return self._waypoints(surface, points)
 
     def strokes(self, surface: Seen, count: int = 2) -> Waypoints:
-        """Return waypoints (n, 3) of strokes to and fro over a surface."""
+        """Return waypoints (n, 3) of `count` strokes over a surface, in alternating directions."""
         given = self.parameters
         reach = 0.8 * min(surface.half_m, 0.03)
         points: list[tuple[float, float, float]] = [(0.2, -reach, HOVER_HEIGHT_M)]
@@ -81,7 +82,7 @@ class Hand:
         return self._waypoints(surface, points)
 
     def press(self, surface: Seen) -> Waypoints:
-        """Return waypoints (n, 3) of a slow press far into a surface."""
+        """Return waypoints (n, 3) of a slow press, 5 cm into a surface."""
         speed = self._varied(self.parameters.press_speed_m_per_s)
         deep = 0.05
         return self._waypoints(
@@ -89,12 +90,12 @@ class Hand:
         )
 
     def way_out(self, surface: Seen) -> Waypoints:
-        """Return the waypoint (1, 3) above the middle of a surface, to which the hand moves from anywhere."""
+        """Return the waypoint (1, 3) above the middle of a surface, to which the hand moves to leave it."""
         (x, y), (n_x, n_y) = surface.point_m, surface.normal
         return np.array([[WAY_OUT_DURATION_S, x + HOVER_HEIGHT_M * n_x, y + HOVER_HEIGHT_M * n_y]])
 
     def withdrawal(self, surface: Seen, pressed: Waypoints, at_s: float) -> Waypoints:
-        """Return waypoints (n, 3) that stop a press at the time `at_s` and move out of the surface."""
+        """Return waypoints (n, 3) that end the press `pressed` at the time `at_s` and move out of the surface."""
         here = np.array([np.interp(at_s, pressed[:, 0], pressed[:, axis]) for axis in (1, 2)])
         (x, y), (n_x, n_y) = surface.point_m, surface.normal
         out = np.array([x + HOVER_HEIGHT_M * n_x, y + HOVER_HEIGHT_M * n_y])
@@ -103,7 +104,7 @@ class Hand:
         return np.column_stack((at_s + times, here + fraction * (out - here)))
 
     def reaction_s(self) -> float:
-        """Draw the time in s from a felt event to the movement that responds to it."""
+        """Return a random time in s from a felt event to the start of the movement that responds to it."""
         return self._varied(self.parameters.reaction_s)
 
     def _varied(self, median: float) -> float:
@@ -113,10 +114,10 @@ class Hand:
         return float(self._chance.uniform(-1.0, 1.0)) * 0.3 * min(surface.half_m, 0.02)
 
     def _waypoints(self, surface: Seen, points: Sequence[tuple[float, float, float]], smooth: bool = True) -> Waypoints:
-        """Return waypoints (n, 3) through points [duration, along, height], beginning above the middle.
+        """Return waypoints (n, 3) through points (duration in s, position along the surface in m, height in m).
 
-        Each point is reached after its duration. Speed is smooth between two points, but constant on the way down and
-        without `smooth`.
+        The way begins above the middle. A point is reached after its duration. Between two points the speed is smooth,
+        but it is constant on the way down, and everywhere without `smooth`.
         """
         at = (0.0, HOVER_HEIGHT_M)
         parts, begun = [], 0.0
@@ -138,14 +139,14 @@ class Hand:
             (way[:, 0], x + way[:, 1] * n_y + way[:, 2] * n_x, y - way[:, 1] * n_x + way[:, 2] * n_y)
         )
 
-    def _tremor(self, times_s: Waypoints) -> Waypoints:
-        """Return a tremor (n, 2): eight sinusoids of random frequency and phase on each axis."""
+    def _tremor(self, times_s: Floats) -> Floats:
+        """Return a tremor (n, 2) at times (n,): eight sinusoids of random frequency and phase on each axis, in m."""
         frequency = self._chance.uniform(*TREMOR_BAND_HZ, (8, 2))
         phase = self._chance.uniform(0.0, 2.0 * math.pi, (8, 2))
         angle = 2.0 * math.pi * frequency * times_s[:, None, None] + phase
         return np.asarray(self.parameters.tremor_m * 0.5 * np.sin(angle).sum(axis=1))
 
 
-def _smooth(times: Waypoints) -> Waypoints:
-    """Return the path of a minimum-jerk motion, 0 to 1, at `times` 0 to 1 (Flash and Hogan, J. Neurosci. 5, 1985)."""
+def _smooth(times: Floats) -> Floats:
+    """Return the path, from 0 to 1, of a minimum-jerk motion at `times` from 0 to 1 (Flash and Hogan, 1985)."""
     return times**3 * (10.0 - 15.0 * times + 6.0 * times**2)

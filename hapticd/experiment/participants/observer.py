@@ -1,9 +1,9 @@
-"""The perception and answers of a simulated participant, from samples alone, never from names.
+"""The perception and the answers of a simulated participant, from samples alone, never from names.
 
-The felt force is the commanded force_n within TOUCH_BAND_HZ; divided by the moving mass it is the handle's vibration.
-Three features are computed from it. Each is a logarithm, so that internal noise is a Weber fraction:
+The felt force is the commanded force `force_n`, filtered to TOUCH_BAND_HZ: the mass of the handle times its vibration.
+Three features are computed from this force, as logarithms. Noise of a logarithm corresponds to a Weber fraction.
 
-    hardness   rate of change of the force after an onset / speed of the approach: the rate-hardness of Lawrence,
+    hardness   rate of change of the force after an onset / approach speed: the rate-hardness of Lawrence,
                Pao, Dougherty, Salada and Pavlou, IEEE Trans. Robotics and Automation 16, 2000
     fineness   periods of the felt force per metre along the surface
     loudness   root mean square of the felt force
@@ -21,48 +21,48 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.analysis.statistics import Floats
 from hapticd.base.core import Flag
 from hapticd.experiment.front import Choice, Seen
+from hapticd.experiment.keys import POSITION_MEANINGS
 from hapticd.experiment.stage import Samples
 
-Floats: TypeAlias = npt.NDArray[np.float64]
 Feature: TypeAlias = Literal["hardness", "fineness", "loudness"]
 
 TOUCH_BAND_HZ: Final = (20.0, 1000.0)
-"""Frequencies of felt vibration: Bolanowski, Gescheider, Verrillo and Checkosky, J. Acoust. Soc. Am. 84, 1988."""
+"""Range of felt frequencies (Bolanowski, Gescheider, Verrillo and Checkosky, J. Acoust. Soc. Am. 84, 1988)."""
 MIN_FELT_FORCE_N: Final = 0.05
-"""Smallest felt force, at which a contact begins."""
+"""A contact begins when the force exceeds this smallest felt force."""
 TAP_WINDOW_S: Final = 0.02
-"""Time after an onset from which the hardness of a tap is computed."""
+"""Duration after an onset in which the hardness of a tap is computed."""
 RUPTURE_FORCE_DROP_N: Final = 0.4
-"""A fall of the force by at least this much within TAP_WINDOW_S is felt as a rupture."""
+"""A fall of the force by more than this within TAP_WINDOW_S is felt as a rupture."""
 _MIN_LOG_ARGUMENT: Final = 1e-6
-"""Lower bound of values before their logarithm or reciprocal, against infinities."""
+"""Lower bound of a value before its logarithm or reciprocal, which avoids infinities."""
 _CELLS_PER_M: Final = 20_000.0
-"""Number of cells per metre of the profile of the force along a surface."""
+"""Number of cells per metre in which the force along a surface is averaged for its profile."""
 _MIN_PROFILE_CELLS: Final = 64
-"""Smallest number of visited cells from which a profile is computed."""
+"""A profile needs at least this number of visited cells."""
 _FINENESS_RANGE_PER_M: Final = (60.0, 1500.0)
-"""Range of spatial frequencies for the fineness. A surface without texture has the lowest one."""
+"""Range of the fineness, in periods per metre. The lowest one stands for a surface without texture."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObserverParameters:
-    """The discrimination ability of an observer.
+    """Noise and criterion of an observer, which limit how well the observer distinguishes stimuli.
 
-    Noise and criterion maximize the likelihood of the six cells of soft materials (wood, acrylic and delrin, force and
-    vibration) in Table 2 of Okamura, Dennerlein and Howe, ICRA 1998, given the hardness that this observer's hand feels
-    in them. No other value of the paper was used.
+    They maximize the likelihood of six cells in Table 2 of Okamura, Dennerlein and Howe (ICRA 1998): pairs of the soft
+    materials wood, acrylic and delrin with force and vibration. No other value of the paper was used.
     """
 
     noise: float = 0.41
-    """Standard deviation of the noise of a feature, in natural logarithms."""
+    """Standard deviation of the noise of a feature, which is a natural logarithm."""
     criterion: float = 0.625
-    """Smallest difference of two features that is judged as different, in natural logarithms."""
+    """Smallest difference of two features, natural logarithms, with which stimuli are judged as different."""
 
 
 class Observer:
-    """An observer that answers by one feature of each stimulus."""
+    """A simulated observer, whose answers follow from one feature of each stimulus."""
 
     def __init__(self, chance: np.random.Generator, parameters: ObserverParameters | None = None) -> None:
         self._chance = chance
@@ -70,52 +70,48 @@ class Observer:
         self._learned: dict[str, list[float]] = {}
 
     def percept(self, feature: Feature, felt: Samples, surface: Seen) -> float:
-        """Return a feature of the samples felt at one stimulus, with noise."""
+        """Return the percept of a stimulus: a feature of the samples felt at its surface, with noise."""
         found = FEATURE_FUNCTIONS[feature](felt, surface)
         return found + self._parameters.noise * float(self._chance.standard_normal())
 
     def compare(self, percepts: list[float], answers: tuple[Choice, ...]) -> str:
-        """Return the answer for the stimulus with the largest percept, or the answer that the stimuli are the same."""
+        """Return the name of the answer for the stimulus with the largest percept, or for equal stimuli."""
         by_meaning = {answer.means: answer.name for answer in answers}
         order = np.argsort(percepts)
         if "same" in by_meaning and percepts[order[-1]] - percepts[order[-2]] < self._parameters.criterion:
             return by_meaning["same"]
-        meant = POSITION_NAMES[int(order[-1])]
+        meant = POSITION_MEANINGS[int(order[-1])]
         return by_meaning[meant] if meant in by_meaning else self.guess(answers)
 
     def rank(self, percepts: list[float]) -> str:
-        """Return the positions from the largest percept to the smallest, such as second>first>third."""
-        return ">".join(POSITION_NAMES[int(at)] for at in np.argsort(percepts)[::-1])
+        """Return a ranking, the positions from the largest percept to the smallest, such as second>first>third."""
+        return ">".join(POSITION_MEANINGS[int(at)] for at in np.argsort(percepts)[::-1])
 
     def identify(self, percept: float, answers: tuple[Choice, ...]) -> str:
-        """Return the answer whose learned percepts have the nearest mean, or a guess if none was learned."""
+        """Return the name of the answer whose learned percepts have the mean nearest to `percept`, or else a guess."""
         known = {answer.name: self._learned[answer.name] for answer in answers if answer.name in self._learned}
         if not known:
             return self.guess(answers)
         return min(known, key=lambda name: abs(float(np.mean(known[name])) - percept))
 
     def learn(self, percept: float, right: str) -> None:
-        """Store the percept of a correct answer, from feedback."""
+        """Store the percept of a stimulus whose correct answer, `right`, is known from feedback."""
         self._learned.setdefault(right, []).append(percept)
 
     def rate(self, percept: float, low: float, high: float) -> float:
-        """Return a number from `low` to `high` by the rank of the percept among all earlier ones."""
-        heard = self._learned.setdefault("", [])
-        heard.append(percept)
-        share = (sum(each < percept for each in heard) + 0.5) / len(heard)
-        return low + share * (high - low)
+        """Return a rating from `low` to `high`, by the rank of `percept` among all rated percepts including itself."""
+        rated = self._learned.setdefault("", [])
+        rated.append(percept)
+        fraction = (sum(each < percept for each in rated) + 0.5) / len(rated)
+        return low + fraction * (high - low)
 
     def guess(self, answers: tuple[Choice, ...]) -> str:
-        """Return a random answer."""
+        """Return the name of a random answer."""
         return answers[int(self._chance.integers(len(answers)))].name
 
 
-POSITION_NAMES: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth")
-"""Names of positions in the order of presentation."""
-
-
 def banded(signal: Floats, period_s: float) -> Floats:
-    """Return a signal (n,) or (n, k) in TOUCH_BAND_HZ, by a zero-phase filter of second order at both ends."""
+    """Return a signal (n,) or (n, k), filtered to TOUCH_BAND_HZ without a phase shift, with slopes of second order."""
     frequency = np.fft.rfftfreq(len(signal), period_s)
     low, high = TOUCH_BAND_HZ
     with np.errstate(divide="ignore"):
@@ -129,7 +125,7 @@ def _period_s(felt: Samples) -> float:
 
 
 def hardness(felt: Samples, surface: Seen) -> float:
-    """Return the mean over onsets of log(rate of change of the felt force / approach speed), in log(N/s / (m/s))."""
+    """Return the mean over taps of log(rate of change of the felt force / approach speed), with units N/s and m/s."""
     if len(felt) < 3:
         return math.log(_MIN_LOG_ARGUMENT)
     period_s = _period_s(felt)
@@ -148,21 +144,18 @@ def hardness(felt: Samples, surface: Seen) -> float:
 
 
 def onsets(force: Floats, window: int) -> list[int]:
-    """Return the onsets: indices at which a force (n,) becomes felt after `window` samples in which it was not."""
+    """Return the indices at which a force (n,) exceeds MIN_FELT_FORCE_N after `window` samples in which it did not."""
     over = np.abs(force) > MIN_FELT_FORCE_N
-    found, quiet = [], window
-    for at in np.flatnonzero(np.diff(over.astype(np.int8)) == 1) + 1:
-        if not over[max(0, at - quiet) : at].any():
-            found.append(int(at))
-    return found
+    rises = np.flatnonzero(np.diff(over.astype(np.int8)) == 1) + 1
+    return [int(at) for at in rises if not over[max(0, at - window) : at].any()]
 
 
 def fineness(felt: Samples, surface: Seen) -> float:
-    """Return the log of the felt force's periods per metre along the touched surface, in log(1/m).
+    """Return the logarithm of the number of periods per metre of the felt force along a touched surface, in 1/m.
 
-    The period is at the largest maximum of the autocorrelation, as for the pitch of a voice (Boersma, Proc. Institute
-    of Phonetic Sciences Amsterdam 17, 1993). It is the fundamental period, whichever harmonic is the strongest. The
-    autocorrelations of both directions are added, since a force along the surface changes sign with the direction.
+    The period is the lag of the largest maximum of the autocorrelation, as for the pitch of a voice (Boersma, Proc.
+    Institute of Phonetic Sciences Amsterdam 17, 1993): the fundamental period, whichever harmonic is the strongest. The
+    autocorrelations of both directions are added, as a force along the surface changes sign with the direction.
     """
     if len(felt) < 3:
         return math.log(_FINENESS_RANGE_PER_M[0])
@@ -189,8 +182,8 @@ def fineness(felt: Samples, surface: Seen) -> float:
 def _power_along(cell: npt.NDArray[np.int64], force: Floats, count: int) -> Floats:
     """Return the spatial power spectrum (count,) of a force (n, 2) along a surface, summed over both axes.
 
-    `cell` (n,) holds the place of each sample along the surface. The profile is padded with zeros, so that its
-    autocorrelation is linear. For fewer cells than _MIN_PROFILE_CELLS the result is 0.
+    `cell` (n,) is the cell of the surface that contains a sample. The profile of the force is padded with zeros for a
+    linear autocorrelation. For fewer cells than _MIN_PROFILE_CELLS the result is 0.
     """
     size = 2 * (count - 1)
     times = np.bincount(cell, minlength=1)
@@ -206,7 +199,7 @@ def _power_along(cell: npt.NDArray[np.int64], force: Floats, count: int) -> Floa
 
 
 def loudness(felt: Samples, surface: Seen) -> float:
-    """Return the log of the root mean square of the felt force, in log(N)."""
+    """Return the logarithm of the root mean square of the felt force in N."""
     if len(felt) < 3:
         return math.log(_MIN_LOG_ARGUMENT)
     force = banded(np.asarray(felt["force_n"]), _period_s(felt))
@@ -214,11 +207,14 @@ def loudness(felt: Samples, surface: Seen) -> float:
 
 
 FEATURE_FUNCTIONS: Final = {"hardness": hardness, "fineness": fineness, "loudness": loudness}
-"""Functions that compute the features, by feature."""
+"""The function that computes each feature from the felt samples and the surface."""
 
 
 def rupture_felt_s(felt: Samples, surface: Seen) -> float | None:
-    """Return the time of the first fall of the force felt as a rupture, in s since the first sample, or None."""
+    """Return the time in s from the first sample to the first rupture that is felt, or None.
+
+    A fall of the force by more than RUPTURE_FORCE_DROP_N within TAP_WINDOW_S is felt as a rupture.
+    """
     if len(felt) < 3:
         return None
     period_s = _period_s(felt)

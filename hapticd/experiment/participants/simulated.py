@@ -1,7 +1,7 @@
 """A simulated participant as the front (user interface) of a session: a hand explores, and an observer answers.
 
-It receives `Shown`, which contains no names of stimuli, and the samples that its hand felt. Like a person it knows from
-the instructions whether to tap, to stroke or to press.
+The participant receives `Shown`, which contains no names of stimuli, and the samples that its hand felt. Like a person
+it knows from the instructions whether to tap, to stroke or to press.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from hapticd.experiment.trial_scenes import configurations
 
 Task: TypeAlias = Literal["tap", "stroke", "press"]
 FEATURE_OF_TASK: Final[dict[Task, Feature]] = {"tap": "hardness", "stroke": "fineness", "press": "loudness"}
-"""The feature by which the observer answers in each task."""
+"""The feature of the felt force by which the observer answers, by task of the hand."""
 _MIN_REACTION_TIME_S: Final = 0.03
-"""Lower bound of the drawn reaction time, due to the conduction time of nerves."""
+"""Lower bound of a random reaction time, due to the conduction time of nerves."""
 
 
 def task_of(plan: Plan) -> Task:
-    """Return the task of a study, the same for all trials.
+    """Return the task of the hand in all trials of a plan.
 
     The task is `press` if the motion is measured, `stroke` if the first trial has a texture, otherwise `tap`.
     """
@@ -45,10 +45,10 @@ def task_of(plan: Plan) -> Task:
 
 
 class SimulatedFront:
-    """A simulated participant without an experimenter; the forces are enabled immediately."""
+    """The user interface of a simulated participant, without an experimenter; see `Front` for the methods."""
 
     def __init__(self, seed: int, name: str, task: Task) -> None:
-        """Create a participant; the same seed, name and task yield the same answers."""
+        """Create a participant. Equal seeds, names and tasks give equal answers."""
         chance = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *name.encode()])))
         self._hand = Hand(chance)
         self._observer = Observer(chance)
@@ -56,20 +56,20 @@ class SimulatedFront:
         self._percepts: list[float] = []
 
     def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
-        """Return None: the participant begins immediately."""
+        """Return None: a simulated participant begins immediately."""
         return None
 
     def phase(self, phase: str, instructions: str | None) -> Command | None:
-        """Return None: the participant begins the phase immediately."""
+        """Return None: a simulated participant begins the phase immediately."""
         return None
 
     def ready(self, shown: Shown, watched: Watched) -> Command | None:
-        """Return None, so that the forces are switched on immediately."""
+        """Return None: the forces are switched on immediately."""
         self._percepts = []
         return None
 
     def withdraw(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Move the hand out of the surfaces of an interval, and return None."""
+        """Move the simulated hand out of the surfaces of an interval, and return None."""
         for surface in shown.surfaces_of(interval):
             stage.move(Motion(self._hand.way_out(surface)))
         return None
@@ -79,12 +79,12 @@ class SimulatedFront:
         return None
 
     def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
-        """Feel the surface of an interval, and return None."""
+        """Feel the surface of an interval with the simulated hand, and return None."""
         self._feel(shown.surfaces[interval - 1], stage)
         return None
 
     def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
-        """Feel the surfaces of the last interval, and return the answer. If the motion is measured, only press."""
+        """Feel the surfaces of the last interval, and return the answer; for a measured motion only press."""
         if shown.kind == "measure":
             self._press(shown.surfaces[0], stage)
             return Reply(None)
@@ -96,7 +96,7 @@ class SimulatedFront:
         """Ignore that a motor task was not done."""
 
     def feedback(self, text: str, right: str | None) -> None:
-        """Learn the percept of the correct answer, after a trial with one stimulus."""
+        """Learn which percept belongs to the correct answer, after a trial with one stimulus."""
         if right is not None and len(self._percepts) == 1:
             self._observer.learn(self._percepts[0], right)
 
@@ -111,7 +111,7 @@ class SimulatedFront:
         """Return None: a pause ends immediately."""
         return None
 
-    def tell(self, line: str) -> None:
+    def show_line(self, line: str) -> None:
         """Ignore a line for the experimenter."""
 
     def _answer(self, shown: Shown) -> str | float | None:

@@ -1,6 +1,6 @@
 """The method of constant stimuli: each level equally often, in random order.
 
-The order consists of blocks that contain each level once, shuffled, so that practice and fatigue affect all levels
+The order consists of blocks that contain each level once, in random order: practice and fatigue affect all levels
 equally.
 """
 
@@ -14,14 +14,7 @@ from pydantic import Field
 from hapticd.base.model import CheckedTogether
 from hapticd.experiment.analysis.psychometric import bootstrap, fit
 from hapticd.experiment.analysis.psychometric_shapes import Shape, is_logarithmic
-from hapticd.experiment.procedures.procedure import (
-    Answer,
-    BaseProcedure,
-    Estimate,
-    Level,
-    ProcedureError,
-    Proportion,
-)
+from hapticd.experiment.procedures.procedure import Answer, BaseProcedure, Estimate, Level, ProcedureError, Proportion
 
 
 class ConstantStimuliParameters(CheckedTogether):
@@ -33,14 +26,14 @@ class ConstantStimuliParameters(CheckedTogether):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     guess: Proportion = 0.0
     lapse: Annotated[float, Field(ge=0, lt=0.5)] | None = None
-    """Lapse rate; None estimates it."""
+    """Probability of a negative answer at easy levels; None estimates the probability."""
     rising: bool = True
-    """Whether positive answers become more frequent with a higher level."""
+    """Whether positive answers become more frequent with rising level."""
     shape: Shape = "logistic"
     axis: Literal["linear", "logarithmic"] = "linear"
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between the parameters of constant stimuli."""
+        """Return the conflicts between the parameters of constant stimuli."""
         faults = []
         if len(set(self.levels)) < len(self.levels):
             faults.append("levels must be different from each other")
@@ -57,7 +50,7 @@ class ConstantStimuliParameters(CheckedTogether):
 
 
 class ConstantStimuli(BaseProcedure[ConstantStimuliParameters]):
-    """One run of constant stimuli; see `procedure.Procedure`."""
+    """A run of the method of constant stimuli; see `procedure.Procedure`."""
 
     PARAMETERS = ConstantStimuliParameters
 
@@ -68,13 +61,13 @@ class ConstantStimuli(BaseProcedure[ConstantStimuliParameters]):
         self.order: list[float] = [float(each) for block in blocks for each in block]
 
     def level(self) -> float | None:
-        """Return the next level in the shuffled order of levels, None at the end of the order."""
+        """Return the next level of the random order, or None at the end of the order."""
         return self.order[len(self.answers)] if len(self.answers) < len(self.order) else None
 
     def estimate(self) -> Estimate:
-        """Return the threshold of the fitted function with its bootstrap interval.
+        """Return the threshold of a psychometric function fitted to the answers, with its bootstrap interval.
 
-        Raises ProcedureError without answers, and FitError if the answers do not determine a threshold.
+        Raises ProcedureError without answers, and FitError if no function can be fitted to the answers.
         """
         if not self.answers:
             raise ProcedureError("no threshold: constant stimuli have no answers yet")

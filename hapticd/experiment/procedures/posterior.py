@@ -1,7 +1,7 @@
 """Posteriors on a grid: probabilities of parameters given answers, expected entropies, and intervals.
 
-Posteriors are arrays (..., g) of g grid points; the leading axes are observers. A table (l, g) holds the probability of
-a positive answer at each of l levels for the parameters of each grid point.
+Posteriors are arrays (..., g) over g grid points; the leading axes are observers. A table (l, g) has the probability of
+a positive answer at each of l levels, for the parameters at each grid point.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.experiment.analysis.psychometric_shapes import Floats
+from hapticd.analysis.statistics import Floats
 
 POSTERIOR_INTERVAL_LEVEL: Final = 0.95
-"""Probability that an interval contains, by convention."""
+"""Probability that the interval of a threshold contains, by convention."""
 
 
 def updated(posterior: Floats, likelihood: Floats) -> Floats:
@@ -24,10 +24,11 @@ def updated(posterior: Floats, likelihood: Floats) -> Floats:
 
 
 def expected_entropies(posterior: Floats, table: Floats) -> Floats:
-    """Return the expected entropy (..., l) in nats of posteriors (..., g) after one answer at each level.
+    """Return the entropy (..., l) in nats that is expected of a posterior (..., g) after an answer at each of l levels.
 
-    See Watson, "QUEST+", J. Vision 17, 2017, eq. 7. For a posterior w and a likelihood L the entropy is log Z - (sum of
-    w L log(w L)) / Z, where Z is the sum of w L, so that the sums over the grid are matrix products.
+    `table` (l, g) has the probabilities of a positive answer (Watson, "QUEST+", J. Vision 17, 2017, eq. 7). For a
+    posterior w and a likelihood L the entropy is log Z - (sum of w L log(w L)) / Z, where Z is the sum of w L. The sums
+    over the grid are computed as matrix products.
     """
     own = np.asarray(_times_log(posterior))
     expected = np.zeros((*posterior.shape[:-1], len(table)))
@@ -39,12 +40,12 @@ def expected_entropies(posterior: Floats, table: Floats) -> Floats:
 
 
 def _times_log(values: Floats) -> Floats:
-    """Return x log x, which is 0 at 0."""
+    """Return x log x of each value x, which is 0 for x = 0."""
     return np.asarray(values * np.log(np.where(values > 0, values, 1.0)))
 
 
 def marginal(posterior: Floats, shape: tuple[int, ...], along: int) -> Floats:
-    """Return the marginal (n,) of a posterior (g,) on a grid of `shape` along one of its axes."""
+    """Return the marginal (n,) of a posterior (g,) along axis `along` of its grid, which has the shape `shape`."""
     others = tuple(place for place in range(len(shape)) if place != along)
     return np.asarray(posterior.reshape(shape).sum(axis=others))
 
@@ -52,8 +53,8 @@ def marginal(posterior: Floats, shape: tuple[int, ...], along: int) -> Floats:
 def interval(values: Floats, weights: Floats, level: float = POSTERIOR_INTERVAL_LEVEL) -> tuple[float, float]:
     """Return the ends of the central interval that contains the probability `level`.
 
-    `values` (n,) rise; each represents a cell that ends midway to its neighbours, over which its weight (n,) is
-    distributed uniformly.
+    `values` (n,) increase. The weight (n,) of a value is distributed uniformly over a cell that ends midway to the
+    neighbouring values.
     """
     if len(values) == 1:
         return float(values[0]), float(values[0])
@@ -66,7 +67,7 @@ def interval(values: Floats, weights: Floats, level: float = POSTERIOR_INTERVAL_
 
 
 def summary(values: Floats, weights: Floats, back: Callable[[Floats], Floats]) -> tuple[float, float, float]:
-    """Return mean and 95 % interval of values (n,) with weights (n,), mapped to levels by `back`."""
+    """Return mean and ends of the 95 % interval of values (n,) with weights (n,), which `back` converts to levels."""
     mean = float(np.sum(values * weights) / np.sum(weights))
     ends = interval(values, weights)
     found = back(np.array((mean, *ends)))

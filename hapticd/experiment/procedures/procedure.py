@@ -1,7 +1,7 @@
-"""The interface of procedures: they return levels, take answers, can be stored and restored, and estimate a threshold.
+"""The interface of adaptive procedures, which return levels, receive answers and estimate a threshold.
 
-The state of a procedure is its parameters and its answers. `state` returns both as plain data, and `restored` replays
-the answers, so that the next level after a restart is the same as without it.
+The state of a procedure is its parameters and its answers. `state` returns both as plain data. `restored` replays the
+answers: the next level is then the same as without the restart.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from hapticd.base.yaml_source import Json
 Level: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 Proportion: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 LEVEL_TOLERANCE: Final = 1e-9
-"""Relative tolerance within which a level that was written to a file or converted to another unit is the same."""
+"""Two levels count as equal within this relative tolerance: one may have been written to a file or converted."""
 
 
 class ProcedureError(HapticdError):
-    """An answer or a state is invalid for the procedure; the message is one line."""
+    """An answer or a stored state is not valid for a procedure."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A threshold and its 95 % interval, in the unit of the level."""
+    """An estimated threshold and the ends of its 95 % interval, in the unit of the level."""
 
     threshold: float
     low: float
@@ -36,39 +36,40 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The level of a trial, and whether the answer to it was positive."""
+    """The level of a trial, and whether the answer was positive."""
 
     level: float
     positive: bool
 
 
 class Procedure(Protocol):
-    """The interface of Staircase, QuestPlus and ConstantStimuli."""
+    """The interface of adaptive procedures: Staircase, QuestPlus and ConstantStimuli."""
 
     def level(self) -> float | None:
-        """Return the next level, None if the procedure has ended."""
+        """Return the level of the next trial, or None if the procedure has ended."""
 
     def answer(self, level: float, positive: bool) -> None:
-        """Take the answer to a level, positive if it was correct.
+        """Receive the answer to a level; a correct answer is positive.
 
-        Raises ProcedureError if the level is not the next one, or if the procedure has ended.
+        Raises ProcedureError if `level` is not the next one or the procedure has ended. QuestPlus accepts each of its
+        levels at any time.
         """
 
     def state(self) -> Json:
-        """Return parameters and answers as plain data."""
+        """Return the state of the procedure, parameters and answers, as plain data."""
 
     @classmethod
     def restored(cls, state: Json) -> Self:
-        """Restore a procedure from its state. Raises ProcedureError or InvalidError for an invalid one."""
+        """Return the procedure that has this state. Raises ProcedureError or InvalidError for an invalid state."""
 
     def estimate(self) -> Estimate:
-        """Return the estimated threshold. Raises ProcedureError without answers."""
+        """Return the estimated threshold with its interval. Raises ProcedureError without answers."""
 
 
 def answers_of(state: Json) -> tuple[Json, list[Answer]]:
-    """Return the parameters (plain data) and the answers in a procedure's state.
+    """Return the parameters (plain data) and the answers in the state of a procedure.
 
-    Raises ProcedureError for an invalid one.
+    Raises ProcedureError for an invalid state.
     """
     if not isinstance(state, dict) or set(state) != {"parameters", "answers"} or not isinstance(state["answers"], list):
         raise ProcedureError("state of a procedure: must be a mapping of parameters and answers")
@@ -83,7 +84,10 @@ def answers_of(state: Json) -> tuple[Json, list[Answer]]:
 
 
 def check_level(given: float, expected: float | None) -> float:
-    """Return the level that a procedure expects next. Raises ProcedureError if `given` differs, or after its end."""
+    """Return `expected`, the next level of a procedure.
+
+    Raises ProcedureError if the level `given` is another one, or if `expected` is None: the procedure has ended.
+    """
     if expected is None:
         raise ProcedureError("the procedure has ended: no more answers are accepted")
     if abs(given - expected) > LEVEL_TOLERANCE * max(abs(expected), abs(given)):
@@ -95,17 +99,17 @@ class Parameters(Protocol):
     """The interface of the parameters of a procedure."""
 
     def to_dict(self) -> dict[str, Json]:
-        """Return the parameters as JSON."""
+        """Return the parameters as JSON data."""
 
 
 P = TypeVar("P", bound=Parameters)
 
 
 class BaseProcedure(ABC, Generic[P]):
-    """The base class of all procedures. Their state consists of parameters and answers."""
+    """The base class of adaptive procedures, whose state consists of parameters and answers."""
 
     PARAMETERS: ClassVar[type[Any]]
-    """Model of the parameters."""
+    """Pydantic model of the parameters."""
 
     def __init__(self, parameters: P) -> None:
         self.parameters = parameters
@@ -113,14 +117,14 @@ class BaseProcedure(ABC, Generic[P]):
 
     @abstractmethod
     def level(self) -> float | None:
-        """Return the next level, None if the procedure has ended."""
+        """Return the level of the next trial, or None if the procedure has ended."""
 
     def answer(self, level: float, positive: bool) -> None:
-        """Take the answer to a level. Raises ProcedureError if the level is not the next one, or after the end."""
+        """Receive the answer to a level. Raises ProcedureError if the procedure does not accept this level now."""
         self._take(self._due(level), positive)
 
     def state(self) -> Json:
-        """Return parameters and answers as plain data."""
+        """Return the state of the procedure, parameters and answers, as plain data."""
         return {
             "parameters": self.parameters.to_dict(),
             "answers": [[each.level, each.positive] for each in self.answers],
@@ -128,7 +132,7 @@ class BaseProcedure(ABC, Generic[P]):
 
     @classmethod
     def restored(cls, state: Json) -> Self:
-        """Restore a procedure from its state. Raises ProcedureError or InvalidError for an invalid one."""
+        """Return the procedure that has this state. Raises ProcedureError or InvalidError for an invalid state."""
         parameters, answers = answers_of(state)
         made = cls(cls.PARAMETERS.model_validate(parameters))
         for each in answers:
@@ -136,7 +140,7 @@ class BaseProcedure(ABC, Generic[P]):
         return made
 
     def _due(self, given: float) -> float:
-        """Return the next level of the procedure. Raises ProcedureError if the level `given` differs from it."""
+        """Return the next level of the procedure. Raises ProcedureError if `given` is another level."""
         return check_level(given, self.level())
 
     @abstractmethod

@@ -1,8 +1,8 @@
-"""QUEST+: show the level with the least expected entropy of the parameters of a psychometric function.
+"""QUEST+: shows the level after whose answer the smallest entropy of the parameters is expected.
 
 Watson, "QUEST+: A general multidimensional Bayesian adaptive psychometric method", Journal of Vision 17(3):10, 2017.
-The prior is uniform on a grid of thresholds, slopes, guesses and lapses. Of several levels with the least expected
-entropy, the first in the list is shown.
+The parameters of a psychometric function have a uniform prior on a grid of thresholds, slopes, guesses and lapses. Of
+several levels with the smallest expected entropy, the first in the list is shown.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from typing import Annotated, Literal, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError
 
+from hapticd.analysis.statistics import Floats
 from hapticd.base.model import CheckedTogether, problems_of
-from hapticd.experiment.analysis.psychometric_shapes import Floats, Shape, axis, is_logarithmic, probability
+from hapticd.experiment.analysis.psychometric_shapes import Shape, axis, is_logarithmic, probability
 from hapticd.experiment.analysis.psychometric_shapes import level as level_at
 from hapticd.experiment.procedures.posterior import expected_entropies, marginal, summary, updated
 from hapticd.experiment.procedures.procedure import (
@@ -28,11 +29,11 @@ from hapticd.experiment.procedures.procedure import (
 )
 
 MAX_TABLE_CELLS = 2_000_000
-"""Largest number of levels times grid points; a table of probabilities then has 16 MB."""
+"""Largest number of levels times grid points, with which the table of probabilities has 16 MB."""
 
 
 class LevelGrid(CheckedTogether):
-    """Equidistant values on a linear or logarithmic axis."""
+    """`count` values from `least` to `most`, equidistant on a linear or logarithmic axis."""
 
     least: Level
     most: Level
@@ -40,7 +41,7 @@ class LevelGrid(CheckedTogether):
     axis: Literal["linear", "logarithmic"] = "linear"
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between `least`, `most` and `axis`."""
+        """Return the conflicts between the keys `least`, `most` and `axis` of a grid."""
         faults = []
         if not self.least < self.most:
             faults.append(f"least ({self.least:g}) must be less than most ({self.most:g})")
@@ -50,13 +51,13 @@ class LevelGrid(CheckedTogether):
 
     @property
     def values(self) -> Floats:
-        """The values of the grid, in rising order."""
+        """The values of the grid, in increasing order."""
         space = np.geomspace if self.axis == "logarithmic" else np.linspace
         return np.asarray(space(self.least, self.most, self.count), dtype=float)
 
 
 def _listed_values(given: object) -> object:
-    """Convert a LevelGrid to the list of its values; leave other input unchanged."""
+    """Convert a mapping with the keys of a LevelGrid to the list of its values. Return other input unchanged."""
     if not isinstance(given, dict):
         return given
     try:
@@ -68,7 +69,7 @@ def _listed_values(given: object) -> object:
 Values: TypeAlias = Annotated[
     tuple[Level, ...], BeforeValidator(_listed_values), Field(min_length=1, max_length=1000, strict=False)
 ]
-"""A list of values; a LevelGrid is converted to one."""
+"""A list of values, which can be given as a LevelGrid."""
 
 
 class QuestPlusParameters(CheckedTogether):
@@ -78,9 +79,9 @@ class QuestPlusParameters(CheckedTogether):
     levels: Values
     """Levels that may be shown."""
     thresholds: Values | None = None
-    """Thresholds of the grid; None uses the levels."""
+    """Thresholds of the grid; None means the levels."""
     slopes: Values
-    """Slopes as in psychometric_shapes: the exponent of a Weibull function, else 1 / (spread on the axis)."""
+    """Slopes of the grid: exponents of a Weibull function, or 1 / (spread on the axis) of another function."""
     guesses: Annotated[tuple[Proportion, ...], Field(min_length=1, max_length=100, strict=False)] = (0.0,)
     lapses: Annotated[tuple[Proportion, ...], Field(min_length=1, max_length=100, strict=False)] = (0.02,)
     shape: Shape = "weibull"
@@ -88,10 +89,10 @@ class QuestPlusParameters(CheckedTogether):
     trials: Annotated[int, Field(ge=1, le=10000)] = 60
     """Number of answers after which the procedure ends."""
     precision: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """The procedure also ends if half the 95 % interval of the threshold is at most this fraction of the threshold."""
+    """The procedure ends early if half the 95 % interval of the threshold is at most this fraction of the threshold."""
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between the parameters of QUEST+."""
+        """Return the conflicts between the parameters of QUEST+."""
         faults = []
         axes = [np.array(self.levels), self.threshold_values, np.array(self.slopes)]
         for name, values in zip(("levels", "thresholds", "slopes"), axes, strict=True):
@@ -117,32 +118,27 @@ class QuestPlusParameters(CheckedTogether):
 
     @property
     def threshold_values(self) -> Floats:
-        """Thresholds of the grid of the prior: `thresholds`, else `levels`."""
+        """Thresholds of the grid: `thresholds`, or `levels` if these are not given."""
         return np.array(self.levels if self.thresholds is None else self.thresholds, dtype=float)
 
 
 class QuestPlus(BaseProcedure[QuestPlusParameters]):
-    """One run of QUEST+; see `procedure.Procedure`."""
+    """A run of QUEST+; see `procedure.Procedure`."""
 
     PARAMETERS = QuestPlusParameters
 
     def __init__(self, parameters: QuestPlusParameters) -> None:
         super().__init__(parameters)
         self.levels: Floats = np.array(parameters.levels, dtype=float)
-        slopes = parameters.slopes
-        self.grid_shape = (
-            len(parameters.threshold_values),
-            len(slopes),
-            len(parameters.guesses),
-            len(parameters.lapses),
-        )
+        given = parameters
+        self.grid_shape = (len(given.threshold_values), len(given.slopes), len(given.guesses), len(given.lapses))
         points = int(np.prod(self.grid_shape))
         self.posterior: Floats = np.full(points, 1.0 / points)
-        """Posterior (g,) over thresholds, slopes, guesses and lapses; lapses change fastest."""
+        """Posterior (g,) over the grid of thresholds, slopes, guesses and lapses, of which lapses change fastest."""
 
     @cached_property
     def table(self) -> Floats:
-        """Probability of a positive answer by level and grid point, (l, g)."""
+        """Probability (l, g) of a positive answer at each of l levels, for the parameters at each of g grid points."""
         given = self.parameters
         thresholds, slopes, guesses, lapses = np.meshgrid(
             given.threshold_values, given.slopes, given.guesses, given.lapses, indexing="ij", sparse=True
@@ -152,7 +148,7 @@ class QuestPlus(BaseProcedure[QuestPlusParameters]):
         return found.reshape(len(self.levels), -1)
 
     def level(self) -> float | None:
-        """Return the level with the least expected entropy, None if the procedure has ended."""
+        """Return the level with the smallest expected entropy, or None if the procedure has ended."""
         given = self.parameters
         if len(self.answers) >= given.trials or (given.precision is not None and self._precise(given.precision)):
             return None
@@ -174,7 +170,7 @@ class QuestPlus(BaseProcedure[QuestPlusParameters]):
         return found.high - found.low <= 2 * precision * abs(found.threshold)
 
     def _due(self, given: float) -> float:
-        """Return `given`, any level, also at the end; `_take` refuses levels that are not in the list."""
+        """Return `given`: QUEST+ accepts answers to any of its levels. `_take` refuses other levels."""
         return given
 
     def _take(self, shown: float, positive: bool) -> None:
@@ -186,6 +182,8 @@ class QuestPlus(BaseProcedure[QuestPlusParameters]):
             )
         likelihood = self.table[place] if positive else 1.0 - self.table[place]
         if not float(np.sum(self.posterior * likelihood)) > 0:
-            raise ProcedureError(f"this answer to level {near:g} has probability 0 on the grid: add a lapse above 0")
+            raise ProcedureError(
+                f"this answer at level {near:g} has probability 0 at every grid point: add a lapse above 0"
+            )
         self.posterior = updated(self.posterior, likelihood)
         self.answers.append(Answer(near, positive))

@@ -9,10 +9,10 @@ Levitt, "Transformed up-down methods in psychoacoustics", J. Acoust. Soc. Am. 49
     weighted       1, by the step          1, by step p/(1 - p)  p (Kaernbach, Perception & Psychophysics 49, 1991)
 
 On a linear axis a step is in the unit of the level and is added; on a logarithmic axis it is a factor. The threshold is
-the level at which the target proportion of answers is positive. It is estimated from all answers as the posterior mean
-and interval of a psychometric function. The prior is uniform over thresholds near the visited levels, over the
+the level at which the target proportion of answers is positive. Its estimate is the posterior mean of the threshold of
+a psychometric function, given all answers. The prior is uniform over thresholds near the visited levels, over the
 logarithm of the slope, and over FITTED_LAPSES (after Hall, "Hybrid adaptive procedure", J. Acoust. Soc. Am. 69, 1981).
-The mean of the reversals is reported in addition.
+The mean of the reversals is another estimate.
 """
 
 from __future__ import annotations
@@ -22,34 +22,28 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
+from hapticd.analysis.statistics import Floats
 from hapticd.base.model import CheckedTogether
-from hapticd.experiment.analysis.psychometric_shapes import Floats, Shape, axis, inverse, is_logarithmic, level, rise
+from hapticd.experiment.analysis.psychometric_shapes import Shape, axis, inverse, is_logarithmic, level, rise
 from hapticd.experiment.procedures.posterior import summary
-from hapticd.experiment.procedures.procedure import (
-    Answer,
-    BaseProcedure,
-    Estimate,
-    Level,
-    ProcedureError,
-    Proportion,
-)
+from hapticd.experiment.procedures.procedure import Answer, BaseProcedure, Estimate, Level, ProcedureError, Proportion
 
 Rule = Literal["1-up-1-down", "1-up-2-down", "1-up-3-down", "weighted"]
 POSITIVES_IN_A_ROW: Final[dict[Rule, int]] = {"1-up-1-down": 1, "1-up-2-down": 2, "1-up-3-down": 3, "weighted": 1}
 """Number of consecutive positive answers after which the level becomes harder."""
 FITTED_LAPSES: Final = (0.0, 0.02, 0.05)
-"""Lapse rates of the grid."""
+"""Lapse rates of the grid on which the threshold is estimated."""
 _THRESHOLD_COUNT: Final = 121
 """Number of thresholds of the grid."""
 _SLOPE_COUNT: Final = 15
 """Number of slopes of the grid."""
 _MAX_SPREAD_FRACTION: Final = 0.4
-"""The largest spread (1 / slope) of the grid is a step plus this fraction of the visited range, the smallest step / 4.
+"""The largest spread (1 / slope) of the grid is the last step plus this fraction of the visited range.
 
 A staircase on a wider function visits a wider range. In simulations 93 to 97 % of 95 % intervals contain the threshold.
 """
 _THRESHOLD_MARGIN_FRACTION: Final = 0.5
-"""Largest distance of the threshold from the visited range, as a fraction of that range."""
+"""Thresholds of the grid extend beyond the visited range by this fraction of it, or by four times the last step."""
 
 
 class StaircaseParameters(CheckedTogether):
@@ -65,7 +59,7 @@ class StaircaseParameters(CheckedTogether):
     steps: Annotated[
         tuple[Annotated[float, Field(gt=0, le=1e9)], ...], Field(min_length=1, max_length=64, strict=False)
     ]
-    """Steps. Each reversal changes to the next one; the last is used to the end."""
+    """Steps. After each reversal the next one applies; the last step applies to the end."""
     axis: Literal["linear", "logarithmic"] = "linear"
     harder: Literal["lower", "higher"] = "lower"
     """Whether lower or higher levels are harder."""
@@ -74,13 +68,13 @@ class StaircaseParameters(CheckedTogether):
     trials: Annotated[int, Field(ge=1, le=10000)] = 100
     """The staircase ends after this many answers."""
     discard: Annotated[int, Field(ge=0, le=999)] = 4
-    """Number of first reversals excluded from their mean."""
+    """Number of reversals at the beginning that do not enter the mean of the reversals."""
     guess: Proportion = 0.0
-    """Probability of a positive answer far below threshold."""
+    """Probability of a positive answer by guessing."""
     shape: Shape = "logistic"
 
     def cross_faults(self) -> list[str]:
-        """Return conflicts between the parameters of a staircase."""
+        """Return the conflicts between the parameters of a staircase."""
         faults = []
         if not self.least < self.most:
             faults.append(f"least ({self.least:g}) must be less than most ({self.most:g})")
@@ -115,27 +109,27 @@ class StaircaseParameters(CheckedTogether):
 
 
 class Staircase(BaseProcedure[StaircaseParameters]):
-    """One run of a staircase; see `procedure.Procedure`."""
+    """A run of a staircase; see `procedure.Procedure`."""
 
     PARAMETERS = StaircaseParameters
 
     def __init__(self, parameters: StaircaseParameters) -> None:
         super().__init__(parameters)
         self.reversals: list[float] = []
-        """Levels at which the direction changed."""
+        """Levels at which the direction of the staircase changed."""
         self._level = parameters.start
         self._in_a_row = 0
         self._towards_harder: bool | None = None
 
     def level(self) -> float | None:
-        """Return the next level of the staircase, None after all reversals or trials."""
+        """Return the level of the next trial, or None after the given number of reversals or trials."""
         ended = len(self.reversals) >= self.parameters.reversals or len(self.answers) >= self.parameters.trials
         return None if ended else self._level
 
     def reversal_mean(self) -> float | None:
-        """Return the mean level of the reversals (changes of direction), or None without reversals.
+        """Return the mean level of the reversals (changes of direction) after the first `discard`, or None without any.
 
-        The first `discard` reversals are excluded. The mean is geometric on a logarithmic axis.
+        On a logarithmic axis the mean is geometric.
         """
         kept = self.reversals[self.parameters.discard :]
         if not kept:
@@ -144,7 +138,7 @@ class Staircase(BaseProcedure[StaircaseParameters]):
         return float(level(axis(np.array(kept), on_log).mean(keepdims=True), on_log)[0])
 
     def estimate(self) -> Estimate:
-        """Return the threshold, the level at which the target proportion is positive.
+        """Return the threshold, the level at which the target proportion of answers is positive, with its interval.
 
         Raises ProcedureError without answers.
         """
@@ -176,19 +170,22 @@ class Staircase(BaseProcedure[StaircaseParameters]):
 
     def _moved(self, shown: float, step: float, harder: bool) -> float:
         given = self.parameters
-        share = 1.0
+        weight = 1.0
         if given.rule == "weighted" and not harder:
-            share = given.proportion / (1.0 - given.proportion)
+            weight = given.proportion / (1.0 - given.proportion)
         up = harder == (given.harder == "higher")
         if given.logarithmic:
-            moved = shown * step**share if up else shown / step**share
+            moved = shown * step**weight if up else shown / step**weight
         else:
-            moved = shown + step * share if up else shown - step * share
+            moved = shown + step * weight if up else shown - step * weight
         return float(min(max(moved, given.least), given.most))
 
 
 def _marginal(given: StaircaseParameters, visited: Floats, right: Floats, wrong: Floats) -> tuple[Floats, Floats]:
-    """Return thresholds (t,) on the axis, at which the target proportion is positive, and their probabilities (t,)."""
+    """Return thresholds (t,) on the axis and their posterior probabilities (t,), for answers at levels (v,).
+
+    `visited` has the levels on the axis, `right` and `wrong` the numbers of positive and negative answers.
+    """
     last = float(np.log(given.steps[-1])) if given.logarithmic else given.steps[-1]
     least, most = axis(np.array((given.least, given.most)), given.logarithmic)
     reach = max(_THRESHOLD_MARGIN_FRACTION * float(visited[-1] - visited[0]), 4 * last)

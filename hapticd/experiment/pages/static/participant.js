@@ -117,7 +117,7 @@ function showTrial(element, trial) {
   picture.show(trial.surfaces, trial.felt);
   hand.limits = trial.surfaces.length > 0 ? extent(trial.surfaces) : null;
   if (trial.told) {
-    element.append(make("p", { class: "told", text: trial.told }));
+    element.append(make("p", { class: "emphasis", text: trial.told }));
   }
   if (moves && (trial.felt || trial.withdraws)) {
     element.append(make("p", { class: "left", text: "Hold the mouse button down on the picture to move the stylus." }));
@@ -130,7 +130,7 @@ function showTrial(element, trial) {
     return;
   }
   if (!trial.in_places && trial.stimuli > 1) {
-    element.append(make("p", { class: "told", text: `${trial.interval} of ${trial.stimuli}` }));
+    element.append(make("p", { class: "emphasis", text: `${trial.interval} of ${trial.stimuli}` }));
   }
   if (trial.question === null) {
     const goOn = once(trial.screen, () => say("participant.go_on", { screen: trial.screen }));

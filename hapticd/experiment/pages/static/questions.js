@@ -1,7 +1,7 @@
 // The question of a trial: buttons and keys, a slider, a number, an order, a text.
 //
-//   ask(element, question, stimuli, answer)   shows a question; `answer(value)` is called with its answer. Returns
-//                                             {keys, enter}: actions by the name of a key; action of Enter, or null
+//   ask(element, question, stimuli, answer)   shows a question and calls `answer(value)` with the participant's answer.
+//                                             Returns {keys, enter}: actions by key name; action of Enter, or null
 import { button, make } from "/static/dom.js";
 
 const NAMED = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down", " ": "space", Enter: "enter" };
@@ -61,14 +61,14 @@ function text(element, { most_characters }, _, answer) {
 
 function ranking(element, _, stimuli, answer) {
   const order = [];
-  const told = make("p", { class: "left", text: "Press the surfaces in their order." });
+  const chosen = make("p", { class: "left", text: "Press the surfaces in their order." });
   const keys = new Map();
   const buttons = Array.from({ length: stimuli }, (__, index) => {
     const pick = () => {
       order.push(index + 1);
       buttons[index].disabled = true;
       keys.delete(String(index + 1));
-      told.textContent = order.join(" > ");
+      chosen.textContent = order.join(" > ");
       again.disabled = false;
       if (order.length === stimuli) {
         go.disabled = false;
@@ -79,7 +79,7 @@ function ranking(element, _, stimuli, answer) {
   });
   const again = button("Start over", "", () => {
     order.length = 0;
-    told.textContent = "";
+    chosen.textContent = "";
     again.disabled = go.disabled = true;
     buttons.forEach((each, index) => {
       each.disabled = false;
@@ -89,7 +89,7 @@ function ranking(element, _, stimuli, answer) {
   const send = () => go.disabled || answer(order.join(" "));
   const go = withKey("Answer", "Enter", send);
   again.disabled = go.disabled = true;
-  element.append(make("div", { class: "ranking" }, ...buttons), told, make("div", { class: "answers" }, again, go));
+  element.append(make("div", { class: "ranking" }, ...buttons), chosen, make("div", { class: "answers" }, again, go));
   return { keys, enter: send };
 }
 

@@ -12,7 +12,7 @@ const DOING = {
   over: "The session is over.",
 };
 
-const BUTTON_LOCK_MS = 700; // the button to continue is disabled after a new screen: a press was meant for the one before
+const BUTTON_LOCK_MS = 700; // a press so soon after a new screen was meant for the screen before
 const percent = (part, total) => (total === 0 ? "–" : `${Math.round((100 * part) / total)} %`);
 
 export function mount(app, element) {
@@ -21,7 +21,7 @@ export function mount(app, element) {
   const here = make("p", {});
   const progress = make("progress", { "aria-label": "Completed trials" });
   const facts = make("dl", { class: "facts" });
-  const told = make("div", { class: "told", role: "log" });
+  const log = make("div", { class: "log", role: "log" });
   const go = button("Begin", "primary go", () => session.goOn(), { id: "session-go-on" });
   go.addEventListener("keydown", (event) => event.repeat && event.preventDefault());
   const wait = make("p", { class: "wait", id: "session-wait" });
@@ -52,7 +52,7 @@ export function mount(app, element) {
     }
   });
   const label = make("label", { class: "check", for: "session-auto" }, auto, "Trials begin automatically");
-  const left = make("div", {}, doing, here, make("div", { class: "row" }, go, label), wait, make("div", { class: "row" }, ...commands), form, told);
+  const left = make("div", {}, doing, here, make("div", { class: "row" }, go, label), wait, make("div", { class: "row" }, ...commands), form, log);
   element.replaceChildren(make("div", { class: "session" }, left, make("div", { class: "stack" }, progress, facts)));
 
   session.addEventListener("change", () => {
@@ -93,10 +93,10 @@ export function mount(app, element) {
     }
     facts.replaceChildren(...Object.entries(rows).flatMap(([name, text]) => [make("dt", { text: name }), make("dd", { text })]));
     const wanted = JSON.stringify(state.lines);
-    if (told.dataset.lines !== wanted) {
-      told.dataset.lines = wanted;
-      told.replaceChildren(...state.lines.map((text) => make("p", { text })));
-      told.scrollTop = told.scrollHeight;
+    if (log.dataset.lines !== wanted) {
+      log.dataset.lines = wanted;
+      log.replaceChildren(...state.lines.map((text) => make("p", { text })));
+      log.scrollTop = log.scrollHeight;
     }
   });
 }
