@@ -344,7 +344,7 @@ class Client(ABC):
 
     @asynccontextmanager
     async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:
-        """Hold the lease, which keeps the forces on, while the `with` block runs; yields the token of the lease.
+        """Keep the forces on while the `with` block runs, by a lease; yields the token of the lease.
 
         A thread renews the lease three times within `duration_s`, over a separate connection. If the process ends, the
         forces fade out. In asyncio a task renews it, so the forces also fade out if the event loop is blocked for

@@ -331,11 +331,13 @@ class Material(Model):
 
     stiffness_n_per_m: Stiffness = Field(description="Normal force per penetration depth or deflection.")
     damping_n_s_per_m: Damping = Field(default=0.0, description="Normal force per normal speed.")
-    tap: Tap | None = Field(default=None, description="Vibration at contact; null: no vibration.")
+    tap: Tap | None = Field(default=None, description="Vibration at contact; without it a contact makes no vibration.")
     rupture: Rupture | None = Field(
         default=None, description="Rupture of a membrane; without it a membrane never ruptures."
     )
-    friction: Friction | None = Field(default=None, description="Coulomb friction; null: no friction.")
+    friction: Friction | None = Field(
+        default=None, description="Coulomb friction; without it the surface has no friction."
+    )
     # Defined after `tap`, whose mode grooves may use.
     texture: Texture | None = Field(
         default=None, description="Texture under a stroke; without it the surface is smooth."

@@ -457,7 +457,7 @@ class Engine:
     def events_read(self, revision: int) -> None:
         """Release the names of objects that were removed before this revision.
 
-        Call this method once all events up to the tick of a sample of this revision were read.
+        Call this once a sample with this revision was read, and every event up to its tick.
         """
         self._compiler.events_read(revision)
 

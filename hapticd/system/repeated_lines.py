@@ -27,7 +27,7 @@ MAX_REPEAT_INTERVAL_S: Final = 3600.0
 MAX_STATE_INTERVAL_S: Final = 60.0
 """Longest interval between two lines about a state that users must know: a fault, a lost device."""
 FORGET_AFTER_S: Final = 300.0
-"""After this time without a line of a kind, its remaining sum is logged, and the next line is logged at once."""
+"""If no line of a kind came for this time, one line sums up the suppressed ones, and the next is logged at once."""
 
 _log = logging.getLogger("hapticd")
 

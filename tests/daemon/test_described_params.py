@@ -52,7 +52,7 @@ PROBLEM_BY_RULE: Final = {
     "length": "must have a direction: a length of at least",
     "patches": r"above from_m|overlap$|overlap;|leave a gap of",
     "rising": r"above the one before|later than",
-    "as_many": r"for each (speed|force)",
+    "table_size": r"for each (speed|force)",
     "grooves": "width_m must be at most spacing_m",
     "waveform": r"of the samples must be 0|needs a sample that is not 0|must last at most",
     "models": r"is unstable|has an RMS of|different (speed|force)|are both at",

@@ -355,7 +355,7 @@ def test_a_tap_without_waveform_says_nothing_of_it() -> None:
 def test_grooves_do_not_ring_with_a_waveform() -> None:
     grooves: dict[str, Any] = {"kind": "grooves", "display": "vibration", "spacing_m": 0.002, "width_m": 0.0005}
     grooves["velocity_gain_per_s"] = 10
-    with pytest.raises(InvalidError, match="needs a mode: its own"):
+    with pytest.raises(InvalidError, match="needs a mode: frequency_hz and decay_time_s"):
         validate_materials({"m": {**material(), "texture": grooves}})
     own = {**grooves, "frequency_hz": 200, "decay_time_s": 0.003}
     assert validate_materials({"m": {**material(), "texture": own}})["m"].groove_mode is not None

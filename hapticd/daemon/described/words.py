@@ -1,4 +1,4 @@
-"""Texts of the documents: summaries of methods, error codes, and validation rules beyond JSON Schema."""
+"""Texts of the OpenRPC description: summaries of methods, error codes, and rules that JSON Schema cannot express."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ VALIDATION_RULES: Final[dict[str, str]] = {
     "patches": "a patch of a wall must be at least 1e-5 m wide; patches must not overlap, and the gap between two must "
     "be 0 or at least 1e-5 m",
     "rising": "speeds, forces and times of a list of points must rise by at least 1e-6 m/s, 1e-6 N or 1e-5 s",
-    "as_many": "a table must have a row, a frequency and a decay time for each of its speeds and forces",
+    "table_size": "a table must have a row, a frequency and a decay time for each of its speeds and forces",
     "grooves": "width_m of grooves must be at most their spacing_m",
     "waveform": "a waveform must begin and end with 0, have a sample that is not 0, and last at most 0.1 s",
     "models": "models of a texture must be stable, have an RMS of at most 1e6 m/s^2, at most 256 different speeds and "
@@ -156,7 +156,7 @@ VALIDATION_RULES: Final[dict[str, str]] = {
 }
 
 _SCENE_RULES: Final = ("length", "patches", "known", "rate")
-_MATERIAL_RULES: Final = ("rising", "as_many", "grooves", "waveform", "models", "provenance", "rate")
+_MATERIAL_RULES: Final = ("rising", "table_size", "grooves", "waveform", "models", "provenance", "rate")
 RULES_OF_METHOD: Final[dict[str, tuple[str, ...]]] = {
     "set_scene": _SCENE_RULES,
     "update_scene": (*_SCENE_RULES, "merged"),

@@ -138,7 +138,7 @@ class PagesFront:
         self._inbox.put(_Continue(who, screen))
 
     def command(self, command: Command) -> None:
-        """Receive a command of the experimenter. The stop of either page is the command `abort`."""
+        """Receive a command of the experimenter, or `abort`, which the stop button of either page sends."""
         if command.kind == "abort":
             self._stopped.set()
         self._inbox.put(command)

@@ -57,7 +57,7 @@ class Presence:
             self._changed(True)
 
     def leave(self, page: Hashable) -> None:
-        """Remove a page that was closed or is away."""
+        """Remove a page that was closed or sends no heartbeats."""
         if self._heard.pop(page, None) is not None and not self.here:
             self._changed(False)
 
