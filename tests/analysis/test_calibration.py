@@ -15,7 +15,8 @@ from hapticd.analysis.calibration.accelerometer import Recording
 from hapticd.analysis.calibration.fit import Estimate, Fit, Point, difference, fit, model_motion
 from hapticd.analysis.calibration.handle import Calibration
 from hapticd.analysis.calibration.rig import SimRig
-from hapticd.analysis.calibration.sweep import Burst, Floats, Record, Sweep, sweep_config
+from hapticd.analysis.calibration.sweep import Burst, Record, Sweep, sweep_config
+from hapticd.analysis.statistics import Floats
 from hapticd.base.core import ffi, lib, pointer
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config

@@ -10,8 +10,9 @@ from scipy import signal
 
 from hapticd.analysis.calibration import verify
 from hapticd.analysis.calibration.accelerometer import Recording
-from hapticd.analysis.calibration.sweep import Axis, Floats
-from hapticd.analysis.calibration.verify import Played, Strike, Verdict
+from hapticd.analysis.calibration.sweep import Axis
+from hapticd.analysis.calibration.verify import Comparison, Played, Strike
+from hapticd.analysis.statistics import Floats
 from hapticd.base.core import lib, pointer
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config
@@ -28,7 +29,7 @@ WOOD = Strike("wood", "tap", Mode(1 / 0.00648, 2 * math.pi * 67), 30.9)
 STEEL = Strike("steel", "tap", Mode(1 / 0.00032, 2 * math.pi * 1682), 169.2)
 
 
-def displayed(config: Config, *strikes: Strike) -> tuple[Played, list[Verdict]]:
+def displayed(config: Config, *strikes: Strike) -> tuple[Played, list[Comparison]]:
     played = verify.play(config, list(strikes), "y")
     return played, verify.from_simulation(config, played)
 
@@ -94,7 +95,7 @@ def wall_error_by_scipy(config: Config, force_n: Floats, stiffness_n_per_m: floa
 def test_a_tap_on_a_wall(name: str, compensation: str) -> None:
     exact = {"coulomb_friction_n": 0, "force_step_n": 0, "encoder_step_m": 0}
     config = load_config({"device": {"kind": "sim", "compensation": compensation, "sim": exact}})
-    verdict = next(each for each in verify.verdicts_on_walls(config) if each.strike.material == name)
+    verdict = next(each for each in verify.compare_on_walls(config) if each.strike.material == name)
     count = round((5 / verdict.strike.mode.decay_rate_per_s + verify.SIMULATION_TAIL_S) * 10_000)
     force = verify.tap_force(config, name, 0.1, count)[:, 1]
     expected = wall_error_by_scipy(config, force, 800.0, verdict.strike)
@@ -110,7 +111,7 @@ def test_a_tap_along_the_wall_does_not_meet_it(axis: Axis) -> None:
     it = load_config({"materials": {"it": {"stiffness_n_per_m": 800, "tap": tap}}}).materials["it"]
     config = config_of().model_copy(update={"materials": {"it": it}})
     _, (free,) = displayed(config, *verify.strikes_of(config.materials))
-    (walled,) = verify.verdicts_on_walls(config, axis=axis)
+    (walled,) = verify.compare_on_walls(config, axis=axis)
     assert walled.error == pytest.approx(free.error, rel=1e-4)
 
 
@@ -119,10 +120,10 @@ def test_taps_on_walls_are_told_of_what_pushes_and_is_carried() -> None:
     given = {"firm": {"stiffness_n_per_m": 500, "tap": tap}, "soft": {"stiffness_n_per_m": 0, "tap": tap}}
     known = load_config({"materials": given}).materials
     config = config_of(2000).model_copy(update={"materials": {name: known[name] for name in (*given, "steel")}})
-    told = {each.strike.material: each for each in verify.verdicts_on_walls(config)}
+    told = {each.strike.material: each for each in verify.compare_on_walls(config)}
     assert "soft" not in told and told["firm"].strike.use == "wall"
     assert (told["steel"].displayed_hz, told["steel"].error) == (None, 1.0)
-    sideways = {each.strike.material: each for each in verify.verdicts_on_walls(config, axis="x")}
+    sideways = {each.strike.material: each for each in verify.compare_on_walls(config, axis="x")}
     assert sideways["firm"].error == pytest.approx(told["firm"].error, rel=1e-9)
 
 
