@@ -1,7 +1,7 @@
-"""Conversion of events to columns of a recording, and back. In the column of a member that an event lacks, the event
-has a reserved value.
+"""Conversion of events to columns of a recording, and back.
 
-An event that is read from a recording has the same members and types as in telemetry.
+A member that an event lacks has a reserved value in its column. Events read from a recording have the same members and
+types as in telemetry.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hapticd.base.lattice import Reflection, with_poles
+from hapticd.config.texture import MAX_ORDER
 from hapticd.rendering.filter_design import (
     COARSE_RULE,
-    MAX_ORDER,
     Array,
     ComplexArray,
     panel_nodes,
