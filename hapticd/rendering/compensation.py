@@ -198,7 +198,7 @@ class _Grid:
         return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
 
     def count(self, pole: complex, onset: float) -> int:
-        """Return the number of ticks in five time constants of `pole` for a first tick `onset` periods after the onset."""
+        """Return the number of ticks in five time constants of `pole`; the first is `onset` periods after the onset."""
         first_s = onset * self.period_s
         return math.floor((_MODE_TIME_CONSTANTS / -pole.real - first_s) / self.period_s + 1e-9) + 1
 

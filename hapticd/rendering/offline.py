@@ -91,7 +91,7 @@ class CompiledScene:
         self.world = new_world(self._compiler.update(scene, scene.objects, materials, 1))
 
     def new_state(self, resolution_m: float) -> CData:
-        """Return a state without contacts or modes; `resolution_m` is the step of the positions, 0 if they are exact."""
+        """Return a state without contacts or modes; `resolution_m` is the step of positions, 0 for exact ones."""
         state = new_state_of(len(self.config.scene.objects))
         lib.hd_state_set_resolution(state, resolution_m)
         return state

@@ -20,7 +20,7 @@ from hapticd.rendering.surface_properties import depends_on_radius, properties_o
 from hapticd.rendering.surface_table import SurfaceTable
 
 _SurfaceKind: TypeAlias = tuple[int, int, float]
-"""Material, first piece (-1: no patches), radius (0: irrelevant). Surfaces with equal kinds share terms of the margin."""
+"""Material, first piece (-1: no patches), radius (0: irrelevant). Surfaces of one kind share terms of the margin."""
 _PLANE_SHAPES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
 """Shapes that push along one normal."""
 _DISC_SHAPE: Final = int(Shape.DISC)
