@@ -1,8 +1,8 @@
 """Contact sets: which surfaces of a scene can be touched at the same time, and how stable each such set is.
 
-The analysis reads the arrays of the compiled table. The region of a surface is the area in which a probe can touch it:
-a strip below a wall, as deep as the force limit lets the probe go; a strip around a membrane; the area of a box or
-disc. Two surfaces act together if their regions meet.
+The analysis reads the arrays of the compiled table. The region of a surface is the area in which a probe can touch it.
+For a wall this is a strip as deep as the force limit lets the probe go, for a membrane a strip around it, for a box or
+disc the entire shape. Two surfaces act together if their regions meet.
 
 A contact set is a pair that meets and all surfaces that meet both, or a surface that meets no other. All surfaces that
 a probe touches at once lie in one of the sets. If there are too many pairs to compare, all surfaces form one set. A set

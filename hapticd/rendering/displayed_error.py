@@ -34,7 +34,7 @@ from hapticd.rendering.compensation import (
 Floats = npt.NDArray[np.float64]
 
 PARTS_PER_PERIOD: Final = 16
-"""Number of parts of a period, in each of which the acceleration is computed, to resolve motion under a held force."""
+"""Accelerations are computed for this number of parts of a period, to resolve the motion under a held force."""
 _SETTLING_TIME_S: Final = 0.05
 """Time after the end of a waveform for which the handle's acceleration is still compared."""
 

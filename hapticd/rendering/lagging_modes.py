@@ -85,7 +85,7 @@ def _is_shown(part: complex) -> bool:
 
 
 def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
-    """Yield changes, in words, each of which would show the mode to within MAX_AMPLITUDE_ERROR."""
+    """Yield texts of remedies; each remedy alone would show the mode to within MAX_AMPLITUDE_ERROR."""
     if output.compensation == "off":
         compensated = replace(output, compensation="full")
         if output.dynamics is None:

@@ -1,9 +1,9 @@
 """`device.rearm_m`, the withdrawal after which a surface can be tapped again, from noise and encoder step.
 
 Noise is assumed Gaussian with standard deviation s, independent at each of r samples a second. A probe held at a
-height m above a surface taps falsely if one sample is h or more above the surface, which rearms it, and a later one is
-below. Waiting for an event of probability p takes 1/p samples on average. So r / (1/Q((h - m)/s) + 1/Q(m/s)) false
-taps happen each second, with the Gaussian tail Q. Most happen half way, at m = h/2:
+height m above a surface taps falsely if one sample is h or more above the surface, so that it can be tapped again, and
+a later sample is below. Waiting for an event of probability p takes 1/p samples on average. So the rate of false taps
+is r / (1/Q((h - m)/s) + 1/Q(m/s)) a second, with the Gaussian tail Q. It is highest half way, at m = h/2:
 
     r Q(h / 2s) / 2   a second.
 

@@ -30,7 +30,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Limit: TypeAlias = Literal["passivity", "quantisation", "eigenvalues"]
 Verdict: TypeAlias = Literal["safe", "unproved", "unsafe"]
 """safe: a contact is proved to come to rest in any passive hand. unsafe: motion of the linear loop grows with the
-configured hand or with the handle released, or dry friction does not absorb the noise of positions. unproved: else."""
+configured hand or with the handle released, or dry friction does not absorb the noise of positions. unproved: neither."""
 
 SPEED_ESTIMATE_ERROR_GAIN: Final = 7.0 / 3.0
 """Largest gain of the velocity estimator from slope errors of its fitted lines to the estimated speed. It adds up to
@@ -101,8 +101,8 @@ def timing(
     the same multiple, the newest acts.
 
     If the pattern of measurements and forces repeats within 128 ticks, `reach_s` is exact: the norm of the operator
-    that maps a velocity to the displacement since the measurement, found as the largest eigenvalue of a matrix over one
-    pattern. Otherwise `reach_s` is the bound of Schur's test, which is larger.
+    that maps a velocity to the displacement since the measurement. This norm is the largest eigenvalue of a matrix over
+    one pattern. Otherwise `reach_s` is the bound of Schur's test, which is larger.
     """
     tick = Fraction(1)
     report = _ratio(report_interval_s * rate_hz) if report_interval_s > 0.0 else tick

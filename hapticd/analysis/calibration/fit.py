@@ -6,11 +6,11 @@ encoder and actuator:
     m x'' + b x' + c sign(x') + k x = F(t) + g,    observed with the delay d.
 
 The model is exact between the periods and includes the times at which dry friction holds the handle. A force that is
-held for longer than a period of the servo, as by a link, is modelled both as a staircase that changes with each report
-and as its running mean over the hold, which is equivalent below the staircase's rate; the better fit is kept. m, b, c,
-k and d hold for the entire drive. c and d belong to the device: for a held handle they are those of the free handle's
-drive, because in a hand damping times delay acts like a mass. Each burst has its own initial position, initial speed
-and constant force g (drift of the hand, weight).
+held for longer than a period of the servo, as by a link, is modelled in two ways: as a staircase that changes with each
+report, and as its running mean over the hold. Both are equivalent below the rate of the reports; the better fit is
+kept. m, b, c, k and d hold for the entire drive. c and d belong to the device: for a held handle they are those of the
+free handle's drive, because in a hand damping times delay acts like a mass. Each burst has its own initial position,
+initial speed and constant force g (drift of the hand, weight).
 
 The fit is least squares over the positions by variable projection (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973):
 an outer fit of m, b, c, k and d, and an inner fit of each burst's start. Its residuals are the encoder's rounding and

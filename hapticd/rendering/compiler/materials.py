@@ -163,9 +163,9 @@ class Materials:
         return finish(design(texture, self.output)) if found is None else found
 
     def prepare(self, name: str, material: Material) -> Steps[None]:
-        """Compute in advance what makes the compilation of this material under this name slow.
+        """Compute in advance the slow parts of the compilation of a material under this name.
 
-        Filters (one per step), compensated shapes, and the spectrum of a waveform.
+        These are filters (one per step), compensated shapes, and the spectrum of a waveform.
         """
         used = self._used.get(self._index.get(name, -1))
         if used is not None and used.material is material:

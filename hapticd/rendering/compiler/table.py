@@ -204,7 +204,7 @@ class Compiler:
         )
 
     def prepare(self, name: str, material: Material) -> Steps[None]:
-        """Compute in advance, filter by filter, what an `update` with this material under this name needs.
+        """Compute in advance, filter by filter, the slow parts of an `update` with this material under this name.
 
         The result of the update does not change.
         """
