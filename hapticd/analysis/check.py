@@ -159,8 +159,8 @@ def _weak_discs(config: Config) -> Iterator[Problem]:
         if held_n < limit_n * (1.0 - 1e-9):
             yield Problem(
                 path_text(("scene", "objects", id)),
-                f"holds {held_n:.3g} N, its stiffness times its radius; a hand that presses harder passes through it; "
-                f"with radius_m {limit_n / stiffness:.3g} or {limit_n / item.radius_m:.4g} N/m it "
+                f"holds {held_n:.3g} N, stiffness times radius; a hand that presses harder passes through the disc; "
+                f"with radius_m {limit_n / stiffness:.3g} or {limit_n / item.radius_m:.4g} N/m the disc "
                 f"holds device.max_force_n, {limit_n:g} N",
             )
 

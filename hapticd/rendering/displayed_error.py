@@ -103,7 +103,7 @@ def band_error(
     """
     one, other = (np.asarray(each, dtype=np.float64) for each in (measured, reference))
     if one.ndim != 1 or one.shape != other.shape or not len(one):
-        raise ValueError(f"measured and reference must have one shape (n,), have {one.shape} and {other.shape}")
+        raise ValueError(f"measured and reference must have equal shapes (n,), have {one.shape} and {other.shape}")
     high = ERROR_BAND_RATE_FRACTION * sample_rate_hz if high_hz is None else high_hz
     wanted = float(np.linalg.norm(band_lines(other, sample_rate_hz, low_hz, high)))
     if not wanted > 0:

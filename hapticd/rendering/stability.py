@@ -30,7 +30,7 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Limit: TypeAlias = Literal["passivity", "quantisation", "eigenvalues"]
 Verdict: TypeAlias = Literal["safe", "unproved", "unsafe"]
 """safe: a contact is proved to come to rest in any passive hand. unsafe: motion of the linear loop grows with the
-configured hand or with the handle released, or dry friction does not absorb the noise of positions. unproved: neither."""
+configured hand or with the handle released, or dry friction does not absorb noise of positions. unproved: neither."""
 
 SPEED_ESTIMATE_ERROR_GAIN: Final = 7.0 / 3.0
 """Largest gain of the velocity estimator from slope errors of its fitted lines to the estimated speed. It adds up to

@@ -66,7 +66,7 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
     except ValueError as error:
         raise HapticdError(f"{name}: {error}") from None
     if not (np.diff(time_s) > 0).all():
-        raise HapticdError(f"{name}: {COLUMN_OF['time']} must rise")
+        raise HapticdError(f"{name}: {COLUMN_OF['time']} must rise from sample to sample")
     return Recording(name, time_s, (acceleration - acceleration.mean()) * scale)
 
 

@@ -105,7 +105,7 @@ class Calibration:
                 f"{1e6 * record.step_m:.3g} um)"
             )
             if record.left_out:
-                lines.append(f"{name}: {record.left_out} bursts are excluded, the servo stalled during them")
+                lines.append(f"{name}: {record.left_out} bursts are excluded, as the servo stalled during them")
             if found.residual_m > max(0.05 * found.motion_m, record.step_m):
                 lines.append(
                     f"{name}: the residual is large: this handle is not only a mass with damping and dry friction, or "

@@ -129,7 +129,7 @@ class ServoRig:
                 if now_ns - begun_ns >= wanted_ns:
                     return np.concatenate(taken)
             elif time.monotonic() - latest_s > SERVO_STALL_TIMEOUT_S:
-                raise HapticdError("stopped: the servo gives no samples")
+                raise HapticdError(f"stopped: the servo has rendered no sample for {SERVO_STALL_TIMEOUT_S:g} s")
             time.sleep(SERVO_POLL_INTERVAL_S)
 
     def close(self) -> None:

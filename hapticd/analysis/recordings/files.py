@@ -53,7 +53,7 @@ class Table:
         if isinstance(column, str) and column in self.names:
             if self.names.count(column) > 1:
                 raise ValueError(
-                    f"has {self.names.count(column)} columns {quoted(column)}: set the column's number in the YAML"
+                    f"has {self.names.count(column)} columns {quoted(column)}: set its number in the YAML file"
                 )
             return self.names.index(column)
         number = str(column)
