@@ -51,10 +51,8 @@ class Table:
     def index_of(self, column: str | int) -> int:
         """Return the index of the column with this name or number (from 1). Raises ValueError unless it is unique."""
         if isinstance(column, str) and column in self.names:
-            if self.names.count(column) > 1:
-                raise ValueError(
-                    f"has {self.names.count(column)} columns {quoted(column)}: set its number in the YAML file"
-                )
+            if (count := self.names.count(column)) > 1:
+                raise ValueError(f"has {count} columns {quoted(column)}: set the column's number in the YAML file")
             return self.names.index(column)
         number = str(column)
         if number in self.others:
