@@ -46,11 +46,13 @@ from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable_text import Use
 
 _STEP_UNKNOWN_TEXT: Final = "the encoder's step is not known"
+"""Reason in a report why the stability is unknown."""
 _LINK_UNKNOWN_TEXT: Final = (
     "not set, and the joystick is not connected: vibrations are checked at the servo's rate, but the link may carry "
     "fewer forces per second; an interval of 4 ms carries 250 reports per second, and a force takes one report per "
     "effect"
 )
+"""Note in a report on a joystick whose link's rate is unknown."""
 
 
 @dataclass(frozen=True, slots=True)

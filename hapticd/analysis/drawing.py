@@ -27,6 +27,7 @@ _TEXT_COLOR_SETTINGS: Final = (
     "xtick.color",
     "ytick.color",
 )
+"""Settings of matplotlib for the colors of text, frames and ticks."""
 
 
 def require_matplotlib(what: str, extra: str) -> None:

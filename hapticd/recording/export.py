@@ -45,24 +45,30 @@ Events: TypeAlias = Iterable[Mapping[str, Any]]
 Texts: TypeAlias = Mapping[str, Any]
 
 _PACKAGES_OF_SUFFIX: Final = {".mcap": ("mcap", "zstandard"), ".csv": ("pandas",)}
-"""Packages that a format needs, by the file's ending. The extra of hapticd that installs them has the first name."""
+"""Packages that a format needs, by the file's ending. The first is also the name of hapticd's extra for the format."""
 _BLOCK_SAMPLES: Final = 100_000
 """Number of samples that are converted at once."""
 _ATTACHED_TEXTS: Final = ("config", "scene", "materials", "status")
+"""Texts that become attachments of a .mcap, as they are known at the start."""
 _METADATA_TEXTS: Final = ("recording", "flight")
+"""Texts that become metadata of a .mcap, as they are known only at the end."""
 _ROS_TYPES: Final = {"u8": "uint64", "i8": "int64", "f8": "float64", "u4": "uint32", "i4": "int32", "f4": "float32"}
+"""Type in a ros2msg definition, by numpy type."""
 _CDR_LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
+"""CDR header of a message with little-endian numbers."""
 _SAMPLES_CHANNEL, _EVENT_CHANNEL, _STATUS_CHANNEL, _CHANGE_CHANNEL = range(1, 5)
 """Ids of the channels of a .mcap and of their schemas; mcap's writer numbers both from 1."""
 _STATUS_MEMBERS: Final = {
     name: {"type": kind}
     for name, kind in (("tick", "integer"), ("rate_hz", "number"), ("revision", "integer"), ("forces", "string"))
 }
+"""JSON Schema of some members of the status."""
 _JSON_CHANNELS: Final = {
     "hapticd/event": ("hapticd.Event", EVENT_MEMBER_SCHEMAS),
     "hapticd/status": ("hapticd.Status", _STATUS_MEMBERS),
     "hapticd/change": ("hapticd.Change", {"revision": {"type": "integer"}}),
 }
+"""Name and members of the schema of each JSON topic."""
 
 
 def files_of(target: Path) -> list[Path]:

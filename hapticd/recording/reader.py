@@ -111,7 +111,9 @@ def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...
     if member.tell() + size != info.file_size:
         raise ValueError(f"{info.filename} should have {size} bytes of data, has {info.file_size - member.tell()}")
     if size > max(_MAX_UNPACKED_BYTES, _MAX_COMPRESSION_RATIO * info.compress_size):
-        raise ValueError(f"{info.filename} needs {size} bytes of memory, too many for {info.compress_size} in the file")
+        raise ValueError(
+            f"{info.filename} needs {size} bytes of memory, too many for {info.compress_size} bytes in the file"
+        )
     return shape, dtype
 
 

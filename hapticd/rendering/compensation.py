@@ -48,7 +48,7 @@ MIN_KICK_RATE_FRACTION: Final = 0.05
 """Lowest frequency, as a fraction of the rate, of modes with kicks (corrections of single samples at the onset). First
 samples of slower modes are small."""
 MIN_KICK_ERROR_REDUCTION: Final = 0.01
-"""Kicks are used only if they lower the displayed error, RMS over _ONSET_FRACTIONS, by more than this."""
+"""Kicks (corrections at the onset) must lower the displayed error, RMS over _ONSET_FRACTIONS, by more than this."""
 
 _ONSET_FRACTIONS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Onsets of the strike for which kicks are designed, in periods before its first tick."""
@@ -297,7 +297,7 @@ class _Band:
         return Shape(mode, tail, peak, peak_time_s, self.error(self.columns(poles), gains), limited)
 
     def alone(self, gain: complex) -> Shape:
-        """Return the force's shape with the mode's pole alone, with this gain."""
+        """Return the shape of the force Im(gain exp(p t)) with the mode's pole p, in units of (m + m_h) A."""
         return self.shape([self._pole], np.array([gain.real, gain.imag]))
 
     def by_hold_gain(self) -> Shape:

@@ -25,6 +25,7 @@ COLUMN_OF: Final[dict[Quantity, str]] = {
     "tangential_position": "tangential_position_m",
     "speed": "speed_m_per_s",
 }
+"""Name of the column of each quantity in SI units."""
 _METRES_PER_UNIT: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 UNITS_OF: Final[dict[Quantity, dict[str, float]]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -34,6 +35,7 @@ UNITS_OF: Final[dict[Quantity, dict[str, float]]] = {
     "tangential_position": _METRES_PER_UNIT,
     "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
 }
+"""Units of each quantity that a recording may have, with their values in SI units."""
 MIN_RECORDING_SAMPLES: Final = 16
 """A shorter recording holds no tap or stroke."""
 MAX_RECORDING_SAMPLES: Final = 20_000_000

@@ -30,6 +30,7 @@ MAX_UNPACKED_BYTES: Final = 2**31
 MAX_CHANNELS: Final = 64
 """Largest number of channels of a .wav, or of columns of an array of two dimensions."""
 _UNCLOSED_QUOTE_TEXT: Final = "is not a table of numbers: is a quotation mark not closed?"
+"""Fault of a .csv if the faulty line cannot be found."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,3 +349,4 @@ def wav_table(content: bytes) -> Table:
 
 
 TABLE_READERS: Final[Mapping[str, Callable[[bytes], Table]]] = {".csv": csv_table, ".npz": npz_table, ".wav": wav_table}
+"""Functions that read the bytes of a file as a Table, by the ending of its name."""

@@ -31,6 +31,7 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.surface_table import SurfaceTable
 
 _OBJECT_RECORD = struct.Struct("=8I6d")
+"""Members of `struct hd_object`: eight integers of 32 bits, then six doubles."""
 if _OBJECT_RECORD.size != OBJECT_DTYPE.itemsize:
     raise ImportError("compiler/table.py: _OBJECT_RECORD must have the size of struct hd_object (csrc/api/hd_api.h)")
 
