@@ -115,7 +115,7 @@ def test_a_tap_along_the_wall_does_not_meet_it(axis: Axis) -> None:
     assert walled.error == pytest.approx(free.error, rel=1e-4)
 
 
-def test_taps_on_walls_are_told_of_what_pushes_and_is_carried() -> None:
+def test_taps_on_walls_are_compared_if_the_wall_pushes_and_the_mode_is_displayable() -> None:
     tap = {"attack_slope_per_s": 10, "frequency_hz": 100, "decay_time_s": 0.002}
     given = {"firm": {"stiffness_n_per_m": 500, "tap": tap}, "soft": {"stiffness_n_per_m": 0, "tap": tap}}
     known = load_config({"materials": given}).materials
@@ -127,7 +127,7 @@ def test_taps_on_walls_are_told_of_what_pushes_and_is_carried() -> None:
     assert sideways["firm"].error == pytest.approx(told["firm"].error, rel=1e-9)
 
 
-def test_a_mass_alone_displays_what_it_is_told() -> None:
+def test_a_mass_alone_displays_modes_accurately() -> None:
     """Without a hand and damping, but for the hold of the force: half a period late."""
     free = {"mass_kg": 0, "stiffness_n_per_m": 0, "damping_n_s_per_m": 0}
     _, (verdict,) = displayed(config_of(handle_damping_n_s_per_m=0, hand=free), WOOD)
@@ -149,7 +149,7 @@ def test_a_strike_beyond_the_limit_is_weaker() -> None:
     assert verdict.force_n <= 0.3
 
 
-def test_what_the_rate_cannot_carry_is_silent() -> None:
+def test_a_mode_above_the_range_of_the_rate_is_silent() -> None:
     _, (wood, steel) = displayed(config_of(2000), WOOD, STEEL)
     assert wood.displayed_hz is not None
     assert (steel.displayed_hz, steel.force_n, steel.error, steel.strength) == (None, 0.0, 1.0, 0.0)
@@ -174,7 +174,7 @@ def test_an_attack_that_is_a_first_peak() -> None:
 
 
 def recording_of(config: Config, played: Played, rate_hz: float, scale: float = 1.0) -> Recording:
-    """What an accelerometer on the simulated handle hears: a clock of its own, and hiss."""
+    """The recording of an accelerometer on the simulated handle: a separate clock, and noise."""
     finer = 10
     force = np.repeat(played.force_n, finer, axis=0)
     motion: Floats = np.empty((len(force), 4))
@@ -189,7 +189,7 @@ def recording_of(config: Config, played: Played, rate_hz: float, scale: float = 
 
 
 @pytest.mark.long
-def test_a_recording_says_what_the_handle_did() -> None:
+def test_a_recording_shows_the_motion_of_the_handle() -> None:
     """The strikes of a light grip, where the onset that fits best is the onset."""
     grip = {"mass_kg": 0.005, "stiffness_n_per_m": 20, "damping_n_s_per_m": 0.3}
     config = config_of(hand=grip, handle_damping_n_s_per_m=0.1)
