@@ -119,7 +119,7 @@ def keeps_sounding(seed: int) -> tuple[bool, bool]:
 
 
 @pytest.mark.slow
-def test_noise_that_drives_the_hand_causes_a_warning() -> None:
+def test_noise_that_drives_the_hand_is_warned_of() -> None:
     found = [keeps_sounding(seed) for seed in range(40)]
     assert [seed for seed, (told, sounds) in enumerate(found) if sounds and not told] == []
     assert sum(sounds for _, sounds in found) > 5
