@@ -192,9 +192,7 @@ def test_a_damaged_part_stops_no_recording_and_shows_nothing(
             load(line)
 
 
-def test_partial_files_stay_if_the_disk_has_no_room_for_a_recording(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_partial_files_stay_if_the_disk_has_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

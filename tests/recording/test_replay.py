@@ -390,9 +390,7 @@ def test_a_recording_without_a_needed_text_is_refused(tmp_path: Path, left_out: 
         ("changes", [7], "TypeError"),
     ],
 )
-def test_a_recording_with_an_invalid_text_is_an_error_of_one_line(
-    tmp_path: Path, part: str, value: object, told: str
-) -> None:
+def test_an_invalid_text_is_an_error_of_one_line(tmp_path: Path, part: str, value: object, told: str) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     samples = render_run(config, strokes(0.1), RATE_HZ).samples
     write(tmp_path / "run.npz", samples, config)

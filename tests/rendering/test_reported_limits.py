@@ -166,9 +166,7 @@ def test_vibrations_that_a_run_cannot_display_are_reported(
     assert capsys.readouterr().err.splitlines()[0] == f"hapticd: {told}"
 
 
-def test_patches_of_a_refused_material_are_found_with_one_check_of_the_material(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_patches_of_a_refused_material_are_found_with_one_check(monkeypatch: pytest.MonkeyPatch) -> None:
     daemon = methods()
     daemon.call("update_materials", {"materials": {"bad": {"texture": {**GRIT, "peak_hz": 600}, **STIFF}}})
     patches = [{"from_m": n / 1000, "to_m": (n + 1) / 1000, "material": "wood"} for n in range(300)]
