@@ -55,13 +55,13 @@ struct hd_mode {
     double tail_re;
     double tail_im;
     double touched_n_per_m; /* surface stiffness for which gain, tail and peak hold; 0: for any */
-    double free_peak; /* the peak in free space. A strike interpolates linearly between the free values and those above,
-                         by the stiffness that is touched */
+    double free_peak; /* the peak without a surface. A strike interpolates linearly between the free values and those
+                         above, by the stiffness that is touched */
     double free_gain_re;
     double free_gain_im;
     double free_tail_re;
     double free_tail_im;
-    double kicks[2 * HD_KICKS]; /* c, d of each of the first samples: adds c + d x to the sample, the onset lies x T
+    double kicks[2 * HD_KICKS]; /* c, d of each of the first samples: c + d x is added if the onset lies x T
                                    before the first */
     uint32_t kick_count;        /* 0 or HD_KICKS */
     uint32_t reserved;
@@ -81,11 +81,11 @@ enum hd_texture {
     HD_TEXTURE_NOISE = 4     /* coloured noise */
 };
 
-#define HD_TAP_POINTS 256   /* most points of a tap's amplitude */
-#define HD_TUNE_POINTS 16   /* most points of a frequency over speed or over force */
-#define HD_TUNE_NODES 64    /* most nodes of a compensation */
-#define HD_TUNE_NODE 11     /* numbers of each node */
-#define HD_WAVE_SAMPLES 512 /* most samples of a waveform */
+#define HD_TAP_POINTS 256   /* largest number of points of a tap's amplitude */
+#define HD_TUNE_POINTS 16   /* largest number of points of a frequency over speed or over force */
+#define HD_TUNE_NODES 64    /* largest number of nodes of a compensation */
+#define HD_TUNE_NODE 11     /* length of a node, in numbers */
+#define HD_WAVE_SAMPLES 512 /* largest number of samples of a waveform */
 #define HD_WAVE_PARTS 8     /* parts of a waveform, see hd_waveform.h */
 
 /* A material. The amplitude of a tap is piecewise linear over the approach speed: from 0 at rest to the first point,
@@ -295,10 +295,10 @@ enum hd_event_kind {
     HD_EVENT_DEVICE_LOST = 9,
     HD_EVENT_DEVICE_FOUND = 10,
     HD_EVENT_GROOVE = 11,   /* speed: tangential, signed along t; value: number of grooves struck in this contact */
-    HD_EVENT_OVERLOAD = 12, /* value: missed share of the last second's periods, which exceeds the threshold */
+    HD_EVENT_OVERLOAD = 12, /* value: missed fraction of the periods of the last second, above the threshold */
     HD_EVENT_RATE = 13,     /* value: the servo's rate from this tick on, Hz */
     HD_EVENT_RESUMED = 14,  /* value: duration of the machine's suspend, s */
-    HD_EVENT_MEMORY_REFUSED = 15, /* code: errno; since this table not all memory is locked */
+    HD_EVENT_MEMORY_REFUSED = 15, /* code: errno; from this table on not all memory is locked */
     HD_EVENT_MARK = 16,           /* code: value of the command */
     HD_EVENT_GESTURE_END = 17     /* value: the tick that took the path; code: 1 completed, 0 replaced */
 };
@@ -386,9 +386,9 @@ uint32_t hd_state_slot(const struct hd_state *state, uint32_t slot);
 
 /* Energy that the objects gave to the hand, according to the passivity observer. */
 struct hd_energy {
-    double energy_j;     /* of the current or else the last contact; below zero: the hand gave more than it received */
-    double largest_j;    /* largest energy_j of all contacts */
-    uint64_t contacts;   /* number of contacts, each from the first touch to the last release */
+    double energy_j;   /* of the current, else the last contact; below 0: the hand gave more energy than it received */
+    double largest_j;  /* largest energy_j of all contacts */
+    uint64_t contacts; /* number of contacts, each from the first touch to the last release */
     uint64_t restrained; /* contacts in which the controller acted */
     uint64_t acted;      /* ticks in which the controller acted */
 };
@@ -405,29 +405,29 @@ void hd_world_free(struct hd_world *world);
 int hd_world_load(struct hd_world *world, const struct hd_table *table);
 /* Stops all ramps until the next load, in order to compute a tick as if no ramp were under way. */
 void hd_world_still(struct hd_world *world);
-/* Writes up to `capacity` slots of objects that may lie within `radius_m` of a point, without missing any that does.
- * Returns their number, or SIZE_MAX without memory. For tests and benchmarks of the index. */
+/* Writes up to `capacity` slots of objects that may lie within `radius_m` of a point, among them all objects that do.
+ * Returns the number written, or SIZE_MAX without memory. For tests and benchmarks of the index. */
 size_t hd_world_candidates(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
                            size_t capacity);
 
 /* Returns why the last check on this thread failed, as one line. */
 const char *hd_invalid_reason(void);
 
-/* Renders `count` positions, one a tick, [count][2]. `velocity` is [count][2], or NULL to estimate it. `periods` is
- * [count], periods since the tick before, or NULL for 1 each. Up to `event_capacity` events are kept; *event_count is
+/* Renders `count` positions, one per tick, [count][2]. `velocity` is [count][2], or NULL to estimate it. `periods` is
+ * [count], periods since the previous tick, or NULL for 1 each. Up to `event_capacity` events are kept; *event_count is
  * the number that occurred. Tick numbers continue from the state's last. */
 int hd_render(const struct hd_world *world, struct hd_state *state, const double *position, const double *velocity,
               const uint32_t *periods, size_t count, struct hd_sample *samples, struct hd_event *events,
               size_t event_capacity, size_t *event_count);
 
 /* Renders the ticks of a servo again from the inputs in its samples: tick, time, position, velocity, forces on, glitch.
- * `interval_s` is [count], s from the report before to this tick's (0: no new report); `periods` is [count], periods
- * since the tick before. Tick numbers must rise. Events as in hd_render. */
+ * `interval_s` is [count], s from the previous report to that of this tick (0: no new report); `periods` is [count],
+ * periods since the previous tick. Tick numbers must rise. Events as in hd_render. */
 int hd_replay(const struct hd_world *world, struct hd_state *state, const struct hd_sample *recorded,
               const double *interval_s, const uint32_t *periods, size_t count, struct hd_sample *samples,
               struct hd_event *events, size_t event_capacity, size_t *event_count);
 
-/* Runs the velocity estimator alone: `interval_s` [count] since the sample before, `position` [count][2]. Writes
+/* Runs the velocity estimator alone: `interval_s` [count] since the previous sample, `position` [count][2]. Writes
  * `velocity` [count][2] and, unless `half_width` is NULL, half the width of the set of velocities that are consistent
  * with the samples, [count][2]. */
 int hd_velocity_run(double step_m, size_t count, const double *interval_s, const double *position, double *velocity,

@@ -2,7 +2,7 @@
 
 /* ---- The simulated joystick ------------------------------------------------------------------------------------ */
 
-#define HD_SIM_FORCES 16 /* most forces under way to the actuator */
+#define HD_SIM_FORCES 16 /* largest number of forces under way to the actuator */
 
 struct hd_sim_config {
     double handle_mass_kg;
@@ -33,7 +33,7 @@ enum hd_interpolation { HD_LINEAR = 0, HD_MINIMUM_JERK = 1 };
 /* What one read of a device returns. */
 struct hd_reading {
     double position_m[2];
-    double interval_s;               /* time from the report before to this one; 0: no new report */
+    double interval_s;               /* time from the previous report to this one; 0: no new report */
     double true_velocity_m_per_s[2]; /* NaN on a real device */
 };
 
@@ -89,7 +89,7 @@ int hd_play(struct hd_state *state, const struct hd_mode *mode, const double dir
 #define HD_HID_MESSAGES 24      /* messages of one script */
 #define HD_DEVICE_EFFECTS 8     /* effects that a device plays */
 #define HD_DEVICE_EFFECT_MESSAGES 4
-#define HD_HID_VALUES 4 /* most numbers in one message */
+#define HD_HID_VALUES 4 /* largest number of values in one message */
 #define HD_HID_STATES 8
 #define HD_HID_EFFECTS 4 /* effects whose play state is watched */
 
@@ -163,10 +163,10 @@ struct hd_hid_state {
     uint32_t meaning; /* enum hd_hid_meaning */
 };
 
-/* The numbers of an input report that name an effect and say whether it plays. If an effect of ours played, stopped,
- * and does not play again although it was renewed, the device has lost it, hence was reset. Because some devices do not
- * report restarts by renewals, such a loss is accepted once per connection; it is accepted each time if effects were
- * seen to play over `proof` renewals, which takes longer than their duration. */
+/* The numbers of an input report that name an effect and say whether it plays. An effect of ours that played, stopped,
+ * and does not play again after a renewal is lost: the device was reset. Some devices do not report that a renewal
+ * restarts an effect, so a loss is accepted only once per connection. It is accepted each time after the device has
+ * reported effects as playing over `proof` renewals, which take longer than the duration of an effect. */
 struct hd_hid_effects {
     struct hd_hid_field index;
     struct hd_hid_field playing;
@@ -211,12 +211,12 @@ struct hd_hid_plan {
 /* A mode that the device plays: a periodic effect of finite duration, which is not renewed. */
 struct hd_device_effect {
     uint32_t id;            /* identifies this mode on this device; not 0, never reused */
-    uint32_t place;         /* index of the device's effect, below HD_DEVICE_EFFECTS; it is one mode at a time */
+    uint32_t place;         /* index of the device's effect, below HD_DEVICE_EFFECTS; an effect is one mode at a time */
     uint32_t message_count; /* 1 to HD_DEVICE_EFFECT_MESSAGES */
     uint32_t unused;
     int64_t duration_ns; /* up to 0.2 s */
     double least_n;      /* a strike with a smaller coefficient is not sent */
-    double most_n;       /* a larger coefficient is played as this one */
+    double most_n;       /* a larger coefficient is reduced to this one */
     /* The force of these messages is the coefficient as a vector. The last one starts the effect; the others are
      * skipped if unchanged. */
     struct hd_hid_message messages[HD_DEVICE_EFFECT_MESSAGES];
@@ -232,14 +232,14 @@ struct hd_device_effects {
 /* The state of a connection; the members are read one by one, not atomically together. */
 struct hd_hid_status {
     uint32_t connected;    /* 1: both threads run */
-    int32_t error;         /* errno of the error that ended it; 0: no error */
-    uint32_t reset;        /* since hd_hid_connect the device reported a reset or switched its actuators off, or lost an
-                              effect; it must be set up again */
+    int32_t error;         /* errno of the error that ended the connection; 0: no error */
+    uint32_t reset;        /* since hd_hid_connect the device reported a reset, switched its actuators off or lost an
+                              effect; the device must be set up again */
     uint32_t states;       /* bit (meaning - 1): the number of that meaning is not 0 */
     uint32_t states_known; /* bit (meaning - 1): a report contained the number of that meaning */
     uint32_t effects_told; /* since hd_hid_connect the device reported that an effect of ours plays, so the loss of an
                               effect can be noticed */
-    uint64_t reports; /* input reports read, of any id; their contents are already in the other members and published */
+    uint64_t reports; /* input reports read, of any id, whose contents are already published and in the other members */
     uint64_t positions;     /* reports with a position */
     uint64_t short_reports; /* reports shorter than the plan requires; ignored */
     uint64_t writes;
@@ -325,13 +325,13 @@ enum hd_signs_problem {
 /* The input of the check in a tick. */
 struct hd_signs_input {
     double position_m[2];
-    double elapsed_s; /* time since the tick before */
+    double elapsed_s; /* time since the previous tick */
     double gain;      /* gain of the scene's force, which fades out before the check begins */
     double max_force_n;
     double ramp_s;
     uint32_t enabled; /* 1: forces are requested */
     uint32_t contact; /* 1: an object is touched */
-    uint32_t jumped;  /* 1: the position is not comparable with the one before */
+    uint32_t jumped;  /* 1: the position is not comparable with the previous one */
     uint32_t unused;
 };
 

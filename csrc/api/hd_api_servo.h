@@ -20,7 +20,7 @@ struct hd_servo_config {
     double device_timeout_s;  /* the device is lost after this time without a report */
     uint32_t forces_on;       /* 1: forces are on at the start */
     uint32_t clock;           /* enum hd_clock_source */
-    double overrun_threshold; /* share of a second's periods that may be missed; more is an overload */
+    double overrun_threshold; /* fraction of a second's periods that may be missed; more is an overload */
     uint32_t overrun_action;  /* enum hd_overrun_action */
     uint32_t unused;
     double frozen_s; /* reports with an unchanged position for this long under a force are a fault; 0: never */
@@ -109,7 +109,7 @@ struct hd_counters {
     uint32_t running;
     uint32_t memory_refused; /* errno if tables have grown beyond the memory that may be locked; 0: as granted */
     uint32_t overloaded;     /* 1: the thread ended, or is about to, because of an overload; see hd_servo_restart */
-    double missed_share;     /* missed share of the periods of the last complete second */
+    double missed_share;     /* missed fraction of the periods of the last complete second */
     uint32_t signs; /* signs of a HID device: enum hd_signs_state, HD_SIGNS_PROBLEM_SHIFT, HD_SIGNS_AXIS_SHIFT */
     uint32_t unused;
     struct hd_energy energy; /* energy after the last tick that the passivity observer saw */

@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* In this order: each needs the declarations of the one before. */
+/* In this order: each needs the declarations of the previous one. */
 #include "api/hd_api.h"
 
 #include "api/hd_api_device.h"

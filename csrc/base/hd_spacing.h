@@ -1,5 +1,5 @@
-/* The usual time between arrivals: a mean over the last few, which one late or early arrival does not change much. Used
- * by one thread. Seconds. */
+/* The usual time between arrivals: a mean over the last few spacings, which one late or early arrival hardly changes.
+ * Used by one thread. Seconds. */
 #ifndef HD_SPACING_H
 #define HD_SPACING_H
 

@@ -27,8 +27,8 @@ HD_RT int hd_hid_step_has_effects(const struct hd_hid *hid);
 HD_RT void hd_hid_step_strike(struct hd_hid *hid, int64_t now_ns, uint32_t effect, const double force_n[2]);
 /* Stops playing effects and drops queued strikes, because the forces are no longer fully on. */
 HD_RT void hd_hid_step_silence(struct hd_hid *hid);
-/* Sleeps until there is a position that no earlier call has returned, or until `until_ns`. Returns 1 and the arrival
- * time if there is. */
+/* Sleeps until a position arrives that no earlier call has returned, or until `until_ns`. Returns 1 and the arrival
+ * time if a position arrived. */
 HD_RT int hd_hid_step_await(struct hd_hid *hid, int64_t until_ns, int64_t *arrival_ns);
 /* Prefetches the memory that hd_hid_step_look and hd_hid_step_put use. */
 HD_RT void hd_hid_step_fetch(const struct hd_hid *hid);
@@ -40,7 +40,7 @@ void hd_hid_expect_ticks(struct hd_hid *hid, int64_t tick_ns);
 /* Control, before a connection: sets the time limit for the writes at its end. Initially 0.5 s. */
 void hd_hid_set_parting(struct hd_hid *hid, int64_t parting_ns);
 
-/* An effect that ended was lost by the device if it does not play again after this many renewals. */
+/* An effect that ended and does not play again after this number of renewals counts as lost by the device. */
 #define HD_FORGET_RENEWALS 2
 
 /* Play state of a connection's effects over their renewals; initially zero. Used by the writer. */

@@ -236,7 +236,7 @@ int hd_hid_set_effects(struct hd_hid *hid, const struct hd_device_effects *effec
 }
 
 void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status) {
-    /* These are read first, so that the others are at least as new. */
+    /* The number of reports is read first, so that the other members are at least as new. */
     const uint64_t reports = hd_atomic_u64_load_acquire(&hid->reports);
     const uint32_t connected = hd_atomic_u32_load_acquire(&hid->connected);
     *status = (struct hd_hid_status){

@@ -10,8 +10,8 @@
 #define HD_LEAST_INTERVAL_S 1e-6 /* smallest interval returned */
 
 /* Updates the usual interval between two reports after `count` reports within `elapsed_s`. A device that reports
- * changes only is silent at times, so its shorter intervals have more weight. They are means over several reports,
- * because the report after a delayed one arrives too soon. */
+ * changes only is silent at times, so its shorter intervals have more weight. Intervals are means over several
+ * reports, because the report after a delayed one arrives too soon. */
 HD_RT static void learn_usual(struct hd_hid_interval *interval, double elapsed_s, uint64_t count) {
     const double mean_s = elapsed_s / (double)count;
     if (!(mean_s < HD_UNUSUAL_S)) {
@@ -56,7 +56,7 @@ HD_RT double hd_hid_interval_next(struct hd_hid_interval *interval, int64_t arri
     const uint64_t count = number - interval->number;
     learn_interval(interval, arrival_ns, number);
     /* After a delayed report the next one arrives on time, and the step between them would seem much too fast. So each
-     * interval is at least half of the usual one; the following intervals take back what that adds. */
+     * interval is at least half of the usual one; the following intervals are shortened by the added time. */
     const int pauses =
         interval->on_change && interval->usual_s > HD_FRAME_S; /* the usual interval may include pauses */
     const double least_s = 0.5 * (pauses ? HD_FRAME_S : interval->usual_s) * (double)count;

@@ -20,7 +20,7 @@ struct hd_hid_interval {
 /* Starts with the first position of a connection. */
 HD_RT void hd_hid_interval_begin(struct hd_hid_interval *interval, int64_t arrival_ns, uint64_t number,
                                  uint32_t on_change);
-/* Takes a later position, the newest since the last call, and returns the seconds since the one before, at least
+/* Takes a later position, the newest since the last call, and returns the seconds since the previous one, at least
  * 1e-6. */
 HD_RT double hd_hid_interval_next(struct hd_hid_interval *interval, int64_t arrival_ns, uint64_t number);
 /* Called without a new position. Returns 0, or for a device that reports changes only the seconds since the last

@@ -133,8 +133,8 @@ static int64_t next_poll_ns(const struct hd_connection *connection) {
 }
 
 /* Composes a message with the current force. A write that blocked ends with a frame of the link, and the next frame
- * brings a position; the force in the mailbox is then a frame old. So a newer one is awaited for up to half the
- * duration of the write (docs/adr/0014). */
+ * brings a position; the force in the mailbox is then a frame old. So the writer waits for a newer force, for up to
+ * half the duration of the write (docs/adr/0014). */
 static void compose_now(struct hd_connection *connection, const struct hd_hid_message *message, uint8_t *bytes) {
     double force_n[2] = {0.0, 0.0};
     if (hd_clock_now_ns() < connection->next_write_ns) {
@@ -263,7 +263,7 @@ int hd_hid_forgotten(struct hd_renewals *renewals, const struct hd_hid_effects *
 static int has_lost_effect(struct hd_connection *connection) {
     const struct hd_hid *hid = connection->hid;
     const uint32_t safety = 1u << (HD_HID_SAFETY - 1);
-    /* Without a safety switch this bit was never set. */
+    /* On a device without a safety switch the bit of the switch was never set. */
     const uint32_t off = hd_atomic_u32_load_relaxed(&hid->states_seen) & ~hd_atomic_u32_load_relaxed(&hid->states);
     const int excused =
         hd_atomic_u32_load_acquire(&hid->reset) || hd_atomic_u32_load_acquire(&hid->paused) || (off & safety) != 0;

@@ -29,7 +29,7 @@ static int check_value(const struct hd_hid_value *value, uint32_t length, const 
         return hd_invalid("plan: %s[%u]: %g counts per unit, zero at %g", script, index, value->counts_per_unit,
                           value->zero_counts);
     }
-    /* Checked so that every number between the limits, rounded, fits into the field. */
+    /* Every number between the limits, rounded, must fit into the field. */
     if (!(value->least <= value->most && value->least >= (double)hd_bits_least(&value->field) &&
           value->most <= (double)hd_bits_most(&value->field))) {
         return hd_invalid("plan: %s[%u]: limits %g to %g do not lie in a field of %u bits, %s", script, index,

@@ -36,7 +36,7 @@ struct hd_signs {
     uint32_t phase;         /* enum hd_signs_phase */
     uint32_t round;         /* rounds of this axis without a decision */
     uint32_t pulse;         /* 0 to 3 */
-    uint32_t wrong;         /* problem that the round before found for this axis; 0: no problem */
+    uint32_t wrong;         /* problem that the previous round found for this axis; 0: no problem */
     double phase_s;         /* time since the phase began */
     double waited_s;        /* time waited for the handle to rest */
     double driven_s;        /* duration of the pulse's drive */

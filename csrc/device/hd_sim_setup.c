@@ -7,8 +7,8 @@
 
 /* Largest number of parts of a period; a device that needs more at its rate is refused. */
 #define HD_PARTS_MAX 2000
-#define HD_MAX_STEP_PERIODS 1048576u /* most periods in one step */
-#define HD_SAMPLES_A_PERIOD_MAX 64.0 /* most reports, or frames of the link, in a period */
+#define HD_MAX_STEP_PERIODS 1048576u /* largest number of periods in one step */
+#define HD_SAMPLES_A_PERIOD_MAX 64.0 /* largest number of reports, or frames of the link, in a period */
 /* Largest number of steps of a resolution (2^50), up to which rounding is exact. */
 #define HD_STEPS_MAX 1125899906842624.0
 /* Highest speed at which a handle can be placed; above it products overflow. */

@@ -29,15 +29,15 @@
  * two checks. A jump of the reference acts through the spring only, not through the damper.
  *
  * The force of a lagging actuator (hd_actuator.h) is not constant within a step, but approaches a constant. Steps are
- * then at most half of its time constant, and its effect in a step is exact. Two turns of the handle within one such
- * step may be missed; they need a force that crosses zero twice within half a time constant. */
+ * then at most half of the actuator's time constant, and the effect of the lag in a step is exact. Two turns of the
+ * handle within one such step may be missed; they need a force that crosses zero twice within half a time constant. */
 // clang-format on
 #include "device/hd_sim_state.h"
 
 #include <math.h>
 
-/* Most events of one axis in one step. More than a few need forces that balance to the last bit; the axis then rests
- * until the end of the step. */
+/* Largest number of events of one axis in one step. More than a few need forces that balance to the last bit; the axis
+ * then rests until the end of the step. */
 #define HD_AXIS_EVENTS_MAX 16
 #define HD_MAX_LOCATE_ITERATIONS 100
 /* Values below this, in m, m/s or N, become zero, so that they do not decay into subnormal numbers. */
@@ -141,7 +141,7 @@ HD_RT static void add_off(const struct hd_kernel *kernel, const struct hd_off *o
     axis->v += lag->v_m_per_s[0] * off->off_n + lag->v_m_per_s[1] * off->off_n_per_s;
 }
 
-/* Returns whether an axis that began a step in one direction, with the force `net_before_n`, certainly kept this
+/* Returns whether an axis that began a step in one direction, with the force `net_before_n`, certainly kept the
  * direction. */
 HD_RT static inline bool keeps_going(const struct hd_sim *sim, int which, double local_s, double direction,
                                      double push_n, double net_before_n, const struct hd_axis *after) {

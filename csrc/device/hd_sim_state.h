@@ -21,7 +21,7 @@
 #define HD_SERIES_TERMS 14
 /* Times that differ by less than this fraction of a period are equal. */
 #define HD_SAME_TIME 1e-9
-/* Most encoder samples under way, a power of two. */
+/* Largest number of encoder samples under way, a power of two. */
 #define HD_SAMPLES 2048u
 /* Times in 2^-24 of a period: the shift, and the unit in periods. */
 #define HD_FRACTION_SHIFT 24

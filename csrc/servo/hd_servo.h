@@ -41,7 +41,7 @@
 
 #define HD_COMMAND_CAPACITY 1024u    /* commands that wait */
 #define HD_EVENT_RING_CAPACITY 8192u /* events that wait for the reader */
-/* Most paths held: those of waiting commands, of one being taken and of the newest one taken. */
+/* Largest number of paths held: those of waiting commands, of one being taken and of the newest one taken. */
 #define HD_PATH_CAPACITY (HD_COMMAND_CAPACITY + 2u)
 #define HD_ADOPTED_CAPACITY 256u  /* revisions whose first tick is kept */
 #define HD_CHANGE_CAPACITY 4096u  /* changed slots that are kept for a world; with more it is reloaded */

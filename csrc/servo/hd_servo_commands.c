@@ -9,7 +9,7 @@
 #include "device/hd_device.h"
 #include "tick/hd_tick.h"
 
-#define HD_COMMANDS_PER_TICK 64u /* most commands in a tick, which bounds its duration */
+#define HD_COMMANDS_PER_TICK 64u /* largest number of commands in a tick, which bounds its duration */
 
 /* ---- The servo thread -------------------------------------------------------------------------------------------- */
 

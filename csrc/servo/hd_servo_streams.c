@@ -72,7 +72,7 @@ HD_RT void hd_servo_follow_streams(struct hd_servo *servo, int64_t time_ns) {
         }
         servo->streaming |= (uint8_t)is_live(stream);
     }
-    /* As of the tick before: a value that is being approached may still turn out to be too fast. */
+    /* As of the previous tick: a value that is being approached may still turn out to be too fast. */
     servo->streaming |= servo->state->streams;
     hd_atomic_u64_store_relaxed(&servo->streams[HD_STREAM_FORCE].limited, servo->state->streamed.limited);
 }
@@ -106,7 +106,7 @@ int hd_servo_stream(struct hd_servo *servo, uint32_t kind, uint64_t seq, const d
     stream->values[hd_triple_back(&stream->triple)] =
         (struct hd_streamed_value){.number = ++stream->sent, .seq = seq, .value = {value[0], value[1]}};
     hd_triple_publish(&stream->triple);
-    /* Only control writes it. */
+    /* Only control writes `streamed`. */
     hd_atomic_u64_store_release(&servo->streamed, hd_atomic_u64_load_relaxed(&servo->streamed) + 1u);
     return HD_OK;
 }

@@ -174,7 +174,7 @@ int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
     }
     status = lock_world(servo, back);
     if (status != HD_OK) {
-        /* Otherwise its arrays would stay too large for later tables. */
+        /* Without the release, the arrays of the world would stay too large for later tables. */
         hd_world_release(world);
         memset(servo->locked[back], 0, sizeof servo->locked[back]);
         return status;
@@ -186,7 +186,7 @@ int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
     return HD_OK;
 }
 
-/* Finds the first tick with `revision` or a later one among those that are kept. Returns 0 if it finds no such tick. */
+/* Finds, among the kept first ticks of revisions, that of `revision` or of a later one. Returns 0 if none is kept. */
 static int find_adopted(const struct hd_servo *servo, uint32_t revision, uint64_t *tick) {
     const uint64_t count = hd_atomic_u64_load_acquire(&servo->adopted);
     const uint64_t oldest = count > HD_ADOPTED_CAPACITY / 2 ? count - HD_ADOPTED_CAPACITY / 2 : 0;

@@ -11,7 +11,7 @@
 #include "api/hd_core.h"
 #include "base/hd_rt.h"
 
-#define HD_PROXY_PLANES 16u /* most surfaces that count as pressed; typically there are two or three */
+#define HD_PROXY_PLANES 16u /* largest number of surfaces that count as pressed; typically there are two or three */
 
 struct hd_proxy {
     double from_m[2];   /* the last sample; after contacts were cleared, this sample */

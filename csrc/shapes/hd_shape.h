@@ -13,16 +13,16 @@
  * Python, in hapticd/; mypy names each place that ends in assert_never:
  *
  *   __init__.py                        the model's public name, in three places
- *   config/scene.py                    the model, Surface and SURFACES
+ *   config/scene.py                    the model, Surface and SURFACE_MODELS
  *   config/document_kinds.py           OBJECT_KINDS
  *   config/operator.py                 the texts that list the shapes which a gesture can touch
  *   rendering/compiler/table.py        its number next to _WALL, and _place_of (assert_never)
  *   rendering/joystick.py              target_of (assert_never): where a gesture touches it
- *   rendering/contact_sets.py          _regions: where it can be touched; _rows, if it has one normal only
+ *   rendering/contact_sets.py          _regions: where it can be touched; _contributions, if it has one normal only
  *   rendering/stability_remedy.py      `deepens`, if a softer one is pressed deeper; round_rubs, if it is round
- *   rendering/surface_properties.py    _round, if it is round
+ *   rendering/surface_properties.py    _put_discs, if it is round
  *   client/watch.py                    draw_scene: how `hapticd watch` draws it
- *   analysis/check.py                  a separate limit, if it has one, as _gone_through of a disc
+ *   analysis/check.py                  a separate limit, if it has one, as _weak_discs for a disc
  *   sweeps/measures/onset.py           _height_of: height from which the handle is dropped on it
  *   experiment/trial_scenes.py         the text that lists the shapes
  *
@@ -66,7 +66,7 @@ struct hd_feature {
 struct hd_onset {
     int silent;                    /* the probe was already inside: no tap, and the force ramps up */
     int slid;                      /* reached along another, pressed surface: no tap */
-    int stood;                     /* slid, but without motion of the probe: it already lay between proxy and probe */
+    int stood;                     /* slid, but without motion of the probe: the shape already lay between the two */
     double fraction;               /* of the path from the last sample to this one, at which the surface was met */
     struct hd_contact_point point; /* where the surface was met; if silent, at the probe */
     struct hd_feature feature;

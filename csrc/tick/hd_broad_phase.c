@@ -1,9 +1,9 @@
 /* The candidate list, kept from tick to tick.
  *
  * candidates[] holds every object within a radius around a centre, with its distance from the centre. While the probe
- * stays within that radius it can touch no other object, and of candidates[] only those that are no farther from the
- * centre than the probe. So a tick at rest visits only the touched objects, and the index (hd_index.h) is queried again
- * when the probe has left the circle or the table has changed. The fewer objects are near, the larger the circle. */
+ * stays within that radius, it can touch only candidates that are no farther from the centre than the probe. So a tick
+ * at rest visits only the touched objects, and the index (hd_index.h) is queried again when the probe has left the
+ * circle or the table has changed. The fewer objects are near, the larger the circle. */
 #include "tick/hd_broad_phase.h"
 
 #include "base/hd_vector.h"

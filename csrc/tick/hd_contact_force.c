@@ -185,7 +185,7 @@ HD_RT static int has_grooves(const struct hd_table *table, const struct hd_objec
 
 /* Ends a contact that the probe has left. Soon after a command the command may be the cause: it changed this surface,
  * or another one that the proxy moves along, so that the probe had left already at its last position. Then the force of
- * the contact counts as taken away by the command. */
+ * the contact counts as removed by the command. */
 HD_RT static void release(struct hd_context *context, uint32_t index, const struct hd_object *object) {
     struct hd_slot *slot = &context->state->slots[index];
     if (slot->changed) {

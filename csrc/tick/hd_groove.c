@@ -8,8 +8,8 @@
 
 /* Grooves closer than this, in spacings, are the same groove. */
 #define HD_GROOVE_SAME 1e-6
-/* Most strikes on one stretch of a tick's path along one object. With more than this per tick single grooves cannot be
- * felt. */
+/* Largest number of strikes on one stretch of a tick's path along one object. With more strikes per tick, single
+ * grooves cannot be felt. */
 #define HD_GROOVES_PER_TICK 1024
 
 /* One straight stretch of a tick's path along a surface. */

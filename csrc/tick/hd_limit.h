@@ -9,7 +9,8 @@
 /* 1 minus a few rounding errors, so that a command at the limit never rounds above it. */
 #define HD_JUST_BELOW 0.9999999999999990
 
-/* Room for noise, as a multiple of its RMS. One Gaussian sample in 16,000 is larger; it scales the noise further down.
+/* Room for noise, as a multiple of its RMS. One Gaussian sample in 16,000 is larger; such a sample scales the noise
+ * further down.
  */
 #define HD_NOISE_CREST 4.0
 /* Time in which gains of the limit rise or fall. It does not follow the scene's ramp_s, which is for commands. */
@@ -27,7 +28,7 @@ struct hd_noisy {
 HD_RT double hd_limit_noise(const struct hd_state *state, const struct hd_table *table, const double contact_n[2],
                             const struct hd_noisy *noisy, double shown, double *most_n);
 
-/* Sets the saturation flag; adds an event if the tick before was not saturated. */
+/* Sets the saturation flag; adds an event if the previous tick was not saturated. */
 HD_RT void hd_limit_report(struct hd_state *state, double wanted_n, int64_t time_ns, uint32_t *flags);
 
 /* Returns the factor, 0 to 1, that brings a force within the limit. */

@@ -20,11 +20,11 @@
 
 /* Squares of coefficients below this, N^2, could become subnormal. A coefficient of 1e-145 N cannot be felt. */
 #define HD_SMALLEST_SQUARE 1e-290
-/* Most modes that a search compares, so that the work of a strike is bounded. */
+/* Largest number of modes that a search compares, so that the work of a strike is bounded. */
 #define HD_MODES_COMPARED_MAX 16u
 #define HD_END_ROUNDING 1e-12 /* relative: covers the rounding of a period, of 5/B and of their multiples */
 
-/* What a strike starts: the mode, or its tail. */
+/* A part of a strike: the mode, or the tail of the mode. */
 struct component {
     double rotor_re;
     double rotor_im;

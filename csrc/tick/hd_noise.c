@@ -7,7 +7,7 @@
  *     f_(m-1)[n] = c f_m[n] - s b_(m-1)[n-1]
  *     b_m[n]     = s f_m[n] + c b_(m-1)[n-1],      f_order = e, b_0 = f_0.
  *
- * The output without taps is f_0 = prod c_m / A(z) e; with taps it is sum v_m b_m. A stage rotates (f_m, b_(m-1)) to
+ * The output is f_0 = prod c_m / A(z) e without taps, and sum v_m b_m with taps. A stage rotates (f_m, b_(m-1)) to
  * (f_(m-1), b_m), so each sample rotates the vector of white sample and delays. Delays that are uncorrelated and of
  * unit power therefore stay so for any k and any change of k, and f_0 and every unit combination of the b_m have unit
  * power. This is also the stationary state for every set of k: a start draws all HD_NOISE_ORDER delays from the

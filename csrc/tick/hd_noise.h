@@ -54,7 +54,7 @@ struct hd_active_noise {
     struct hd_eased scale_n;          /* N per m/s^2 */
     struct hd_eased normal_n;         /* the force that the RMS follows */
     double direction[2];              /* of the last sample */
-    double delay[HD_NOISE_ORDER + 1]; /* b_m of the sample before; entries beyond the order keep their values */
+    double delay[HD_NOISE_ORDER + 1]; /* b_m of the previous sample; entries beyond the order keep their values */
     double sine[HD_NOISE_ORDER];      /* k_1 .. k_order */
     double cosine[HD_NOISE_ORDER];    /* sqrt(1 - k^2) */
     double tap[HD_NOISE_ORDER + 1];   /* v_0 .. v_order */

@@ -30,9 +30,9 @@ struct hd_pushed {
     double weight; /* part of the controller's change that is applied, 0 to 1 */
 };
 
-/* Adds the work that is known by now, then applies the controller: to `is`, the force of this tick, if its weight is
- * above 0, and counts that and sets HD_FLAG_RESTRAINED; in the same way to `still`, the force with every ramp stopped,
- * without counting. `restart`: the sum starts again. */
+/* Adds the work that is known by now, then applies the controller to `is`, the force of this tick, if the weight is
+ * above 0. A changed force is counted and sets HD_FLAG_RESTRAINED. The controller is also applied to `still`, the force
+ * with every ramp stopped, without counting. `restart`: the sum starts again. */
 HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *table, const struct hd_input *input,
                              int restart, const struct hd_pushed *is, const struct hd_pushed *still, uint32_t *flags);
 /* Records, at the end of the tick, the force that is commanded until the next one. `gain`: gain of the command. */

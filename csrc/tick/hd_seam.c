@@ -25,7 +25,7 @@ HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot,
         struct hd_contact_point there;
         if (other == slot || other->touched || index >= table->object_count ||
             table->objects[index].shape == HD_SHAPE_NONE) {
-            continue; /* it is still touched, or was removed */
+            continue; /* the other object is still touched, or was removed */
         }
         const double reach = half + find_last_point(context, other, &table->objects[index], &there);
         const double along =

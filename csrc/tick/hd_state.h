@@ -74,7 +74,7 @@ struct hd_change {
 /* The streamed force: see hd_stream.h. */
 struct hd_streamed {
     double value_n[2]; /* at the last tick */
-    double step_n[2];  /* its change since the tick before */
+    double step_n[2];  /* its change since the previous tick */
     double from_n[2];  /* start of the line that it follows */
     double to_n[2];    /* end of the line */
     double length_s;   /* duration of the line */
@@ -90,9 +90,9 @@ struct hd_residual {
     uint32_t remaining; /* ticks; 0: there is no residual */
     double force_n[2];
     double object_n[2];  /* the part of force_n that comes from objects */
-    double beyond_n[2];  /* what the force limit cuts off from the residual */
+    double beyond_n[2];  /* part of the residual that the force limit cuts off */
     double pressed_n[2]; /* the limited contact force without the residual */
-    double was_n[2];     /* pressed_n of the tick before */
+    double was_n[2];     /* pressed_n of the previous tick */
 };
 
 struct hd_slot {
@@ -311,9 +311,9 @@ struct hd_input {
     double position_m[2];
     double velocity_m_per_s[2];
     double true_velocity_m_per_s[2]; /* for the events; NaN if unknown */
-    double interval_s;               /* between this sample and the one before; 0: no new sample */
+    double interval_s;               /* between the previous sample and this one; 0: no new sample */
     double glitch_m_per_s;           /* speed that a jump of the position implies; 0: no jump */
-    uint32_t periods;                /* since the tick before: 1, plus the missed ones */
+    uint32_t periods;                /* since the previous tick: 1, plus the missed ones */
     uint32_t checking; /* the signs of the device are checked: the scene fades out, then check_n is felt */
     double check_n[2];
 };

@@ -17,7 +17,7 @@ HD_RT int hd_strike_mode_groove(const struct hd_table *table, const struct hd_ma
  * peak, it is converted to the coefficient; strike->units gets the displayed value. Returns 0 if the tap is silent. */
 HD_RT int hd_strike_mode_tap(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
                              struct hd_strike *strike, double *units, double *peak_s);
-/* Computes the mode of such a strike. */
+/* Computes the mode of a strike that depends on the motion (strike->tuned). */
 HD_RT void hd_strike_mode_make(const struct hd_table *table, const struct hd_strike *strike, struct hd_mode *mode);
 
 #endif

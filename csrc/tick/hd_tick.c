@@ -118,7 +118,7 @@ HD_RT static inline int is_ringing(const struct hd_state *state) {
     return (state->active_mode_count | state->wave_count) != 0;
 }
 
-/* The data that the stages of a tick hand on to each other. */
+/* The data that the stages of a tick share. */
 struct tick {
     uint32_t flags;
     int steady;              /* no ramp, residual or passivity control is active */
@@ -373,7 +373,7 @@ HD_RT static void record_command(struct tick *tick) {
     struct hd_state *state = tick->context.state;
     const struct hd_ramped *ramped = &tick->ramped;
     double contact_n[2] = {tick->contact_n[0], tick->contact_n[1]};
-    /* What hd_ramp_command held back is commanded as well. */
+    /* The force that hd_ramp_command held back is commanded as well. */
     for (int axis = 0; axis < 2 && (ramped->any || tick->eases); axis++) {
         contact_n[axis] += ramped->held_n[axis];
         tick->object_n[axis] += ramped->held_of_objects ? ramped->held_n[axis] : 0.0;

@@ -28,7 +28,8 @@
 
 static_assert((HD_VELOCITY_SAMPLES & (HD_VELOCITY_SAMPLES - 1)) == 0, "indices in the ring are masked sample numbers");
 
-/* Most samples of a window: its first sample and the record there must still be in the ring after the next sample. */
+/* Largest number of samples of a window: its first sample and the record there must still be in the ring after the next
+ * sample. */
 #define MAX_WINDOW_SAMPLES (HD_VELOCITY_SAMPLES - 2)
 /* Samples closer than the resolution of time stamps count as one sample. */
 #define MIN_INTERVAL_S 1e-9
@@ -47,8 +48,8 @@ static_assert((HD_VELOCITY_SAMPLES & (HD_VELOCITY_SAMPLES - 1)) == 0, "indices i
 /* A path of constant acceleration a stays within the intervals of a line for about T = sqrt(MAX_BEND_STEPS step / a).
  * With 16 instead of 8, T is an upper bound. */
 #define MAX_BEND_STEPS 8.0
-/* Weight of the bend correction by the length of the line before, as a share of the window: 0 below the first share, 1
- * above the second. */
+/* Weight of the bend correction by the length of the previous line, as a share of the window: 0 below the first share,
+ * 1 above the second. */
 #define MIN_BEFORE_SHARE (1.0 / 3.0)
 #define FULL_BEFORE_SHARE 0.5
 
@@ -137,7 +138,7 @@ static inline HD_RT void edge_reverse(struct hd_velocity_edge *edge, const struc
     edge->end = end;
 }
 
-/* Grows the window backwards from the newest sample as long as one line fits: at least to the sample before, at most
+/* Grows the window backwards from the newest sample as long as one line fits: at least to the previous sample, at most
  * over `most` samples and `longest_s`. A run of equal positions may be cut at `longest_s`, since a line that fits its
  * ends fits in between. */
 static HD_RT void grow_backwards(const struct hd_velocity *v, struct hd_velocity_axis *axis, uint32_t most,
@@ -196,7 +197,8 @@ static HD_RT void grow_backwards(const struct hd_velocity *v, struct hd_velocity
     axis->before = axis->past[RING_INDEX(axis->start)];
 }
 
-/* Extrapolates the line's slope from the middle of its window to the end, with the acceleration since the line before.
+/* Extrapolates the line's slope from the middle of its window to the end, with the acceleration since the previous
+ * line.
  */
 static HD_RT void correct_for_bend(struct hd_velocity *v, int a, double span_s) {
     const struct hd_velocity_axis *axis = &v->axis[a];

@@ -39,7 +39,7 @@ struct hd_velocity_axis {
     double line_half_width_m_per_s;   /* half the width of that range */
     uint32_t start;                   /* number of the first sample of the window */
     uint32_t newest;                  /* number of the last sample; wraps */
-    uint32_t bent;                    /* the slope differs significantly from that of the line before */
+    uint32_t bent;                    /* the slope differs significantly from that of the previous line */
     struct hd_velocity_record before; /* the line that ended where this window starts */
     struct hd_velocity_edge fastest;
     struct hd_velocity_edge slowest;
@@ -69,8 +69,8 @@ void hd_velocity_init(struct hd_velocity *v, double step_m);
 /* Discards all samples: the next sample is the first, with velocity 0. */
 HD_RT void hd_velocity_reset(struct hd_velocity *v);
 
-/* Adds a sample and writes the estimate to `velocity_m_per_s`. `interval_s`: time since the sample before; 0: there is
- * no new sample, and the estimate stays. */
+/* Adds a sample and writes the estimate to `velocity_m_per_s`. `interval_s`: time since the previous sample; 0 without
+ * a new sample: the estimate stays. */
 HD_RT void hd_velocity_update(struct hd_velocity *v, double interval_s, const double position_m[2],
                               double velocity_m_per_s[2]);
 

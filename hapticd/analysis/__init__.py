@@ -1,15 +1,15 @@
-"""Measurements and checks: configurations checked, devices calibrated, recordings of surfaces read.
+"""Checks of configurations, calibration of devices, and reading of recordings of real surfaces.
 
     check         `hapticd check`: whether device, rate and grip can display the scene of a configuration
     calibration/  `hapticd calibrate`: mass and damping of handle and hand; `hapticd verify`: error of the display
     recordings/   recordings of surfaces in SI units on one clock, with their faults
-    statistics    least squares with intervals, robust regression
+    statistics    least squares with confidence intervals, robust regression
     drawing       helpers of all figures and result pages: matplotlib, SVG in a page, labels
 
 Questions, and where to begin:
 
     Where do the results of `hapticd check` come from?
-        check (check); its numbers come from rendering: displayability, lagging_modes, driven_hand, scene_stability.
+        check (check), which calls rendering: displayability, lagging_modes, driven_hand, scene_stability.
     How are mass and damping of a handle found?
         calibration/handle (calibrate); the fit itself is calibration/fit.
     Why is a recording of a surface refused?

@@ -1,7 +1,7 @@
 """Check whether the device, the rate and the grip of a configuration can display its scene, before anything moves.
 
-The scene is compiled as in the daemon, but nothing is sent to a device. Of a connected HID joystick the report
-descriptor and the endpoint's interval are read from sysfs; the joystick itself is not accessed.
+The scene is compiled as in the daemon, but nothing is sent to a device. The report descriptor of a connected HID
+joystick and the interval of its endpoint are read from sysfs, without access to the joystick.
 """
 
 from __future__ import annotations
@@ -46,11 +46,13 @@ from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable_text import Use
 
 _STEP_UNKNOWN_TEXT: Final = "the encoder's step is not known"
+"""Reason in a report why the stability is unknown."""
 _LINK_UNKNOWN_TEXT: Final = (
     "not set, and the joystick is not connected: vibrations are checked at the servo's rate, but the link may carry "
     "fewer forces per second; an interval of 4 ms carries 250 reports per second, and a force takes one report per "
     "effect"
 )
+"""Note in a report on a joystick whose link's rate is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,25 +61,24 @@ class Vibration:
 
     use: Use
     frequency_hz: float
-    """Frequency of the mode, peak of the texture's spectrum, or the frequency below which half of the waveform's energy
-    lies."""
+    """Frequency of a mode, peak of a texture's spectrum, or the frequency that halves the energy of a waveform."""
     shown_hz: float | None
     """The frequency that is displayed; None if the vibration is silent."""
     error: float | None
-    """Error of the handle's acceleration (hapticd.rendering.displayed_error.displayed_error); None if the handle is
-    unknown or another frequency is displayed."""
+    """Displayed error of the handle's acceleration, 0.1 for 10 %; None if the handle is unknown or another frequency is
+    displayed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A material of the configuration, whether the scene uses it, and its vibrations (`sounds`)."""
+    """A checked material: its stiffness, its vibrations (`sounds`), and whether the scene uses the material."""
 
     name: str
     used: bool
     stiffness_n_per_m: float
     sounds: tuple[Vibration, ...]
     verdict: Mapping[str, str]
-    """Quality of each fit by its kind: good, fair or poor; empty if the material was not fitted."""
+    """Verdict of each fit of the material, good, fair or poor, by the kind of fit; empty if it was not fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,16 +99,16 @@ class Report:
 
     @property
     def encoder_step_m(self) -> float | None:
-        """Step of the measured positions in m, None if it is unknown."""
+        """Step of the measured positions; None if unknown."""
         return None if self.stability.assumed is None else self.stability.assumed.encoder_step_m
 
     @property
     def faults(self) -> int:
-        """Number of problems of the scene; unknown or unproved stability does not count."""
+        """Number of problems. Stability that is unknown or only unproved does not count."""
         return len(self.refused) + len(self.undisplayable) + len(self.warnings) + len(self.stability.harmful)
 
     def to_dict(self) -> dict[str, object]:
-        """Return the report as JSON."""
+        """Return the report as a mapping for JSON."""
         lists = ("refused", "undisplayable", "warnings", "notes", "materials")
         return {
             "can_be_shown": self.faults == 0,
@@ -122,7 +123,7 @@ class Report:
 
 
 def check(config: Config) -> Report:
-    """Check a configuration; return a report, which also lists what cannot be displayed."""
+    """Check whether device, rate and grip can display the scene of a configuration; return the report."""
     scene, materials = config.scene, config.materials
     device = _device(config)
     output = output_of(config, config.servo.rate_hz, device.link_hz)
@@ -151,18 +152,18 @@ def check(config: Config) -> Report:
 
 def _weak_discs(config: Config) -> Iterator[Problem]:
     """Yield a note for each disc whose largest force, stiffness times radius at its centre, is below max_force_n."""
-    most_n = config.device.max_force_n
+    limit_n = config.device.max_force_n
     for id, item in config.scene.objects.items():
         if not isinstance(item, Disc):
             continue
         stiffness = config.materials[item.material].stiffness_n_per_m
         held_n = stiffness * item.radius_m
-        if held_n < most_n * (1.0 - 1e-9):
+        if held_n < limit_n * (1.0 - 1e-9):
             yield Problem(
                 path_text(("scene", "objects", id)),
-                f"holds {held_n:.3g} N, its stiffness times its radius; a hand that presses harder passes through it; "
-                f"with radius_m {most_n / stiffness:.3g} or {most_n / item.radius_m:.4g} N/m it "
-                f"holds device.max_force_n, {most_n:g} N",
+                f"holds {held_n:.3g} N, stiffness times radius; a hand that presses harder passes through the disc; "
+                f"with radius_m {limit_n / stiffness:.3g} or {limit_n / item.radius_m:.4g} N/m the disc "
+                f"holds device.max_force_n, {limit_n:g} N",
             )
 
 
@@ -194,11 +195,11 @@ class _Device(NamedTuple):
     """The reason why the stability is unknown; None if `loop` is set."""
     loop: Loop | None = None
     link_hz: float | None = None
-    """Forces per second that the link carries, None if that is unknown."""
+    """Forces per second that the link carries; None if unknown."""
     undrivable: tuple[Problem, ...] = ()
     """Problems of a connected device that keep the daemon from starting."""
     notes: tuple[Problem, ...] = ()
-    """Assumptions about the device that the report mentions."""
+    """Assumptions about the device, for the report."""
 
 
 def _device(config: Config) -> _Device:

@@ -1,4 +1,4 @@
-"""Helpers of all figures and result pages: matplotlib, SVG elements, axis labels.
+"""Helpers of figures and result pages: matplotlib, SVG elements, axis labels.
 
 matplotlib is optional, and imported only when something is drawn.
 """
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAGE_TEXT_COLOR: Final = "#010203"
-"""Placeholder in a figure of `page_colors`; svg_element replaces it by currentColor, the text color of the page."""
+"""Placeholder for the text color of the page in a figure; svg_element replaces the placeholder by currentColor."""
 _TEXT_COLOR_SETTINGS: Final = (
     "text.color",
     "axes.edgecolor",
@@ -27,6 +27,7 @@ _TEXT_COLOR_SETTINGS: Final = (
     "xtick.color",
     "ytick.color",
 )
+"""Settings of matplotlib for the colors of text, frames and ticks."""
 
 
 def require_matplotlib(what: str, extra: str) -> None:
@@ -44,7 +45,7 @@ def literal(text: str) -> str:
 
 @contextmanager
 def drawing(settings: Mapping[str, Any], salt: str, page_colors: bool = False) -> Iterator[None]:
-    """Apply settings of matplotlib in a `with` statement; with an equal `salt`, equal figures yield equal SVG text.
+    """Apply settings of matplotlib in a `with` statement. With an equal `salt`, equal figures yield equal SVG text.
 
     With `page_colors`, text, frames and ticks have the text color of the page, and the background is transparent.
     """

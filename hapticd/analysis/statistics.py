@@ -1,4 +1,4 @@
-"""Least squares with intervals, for points of unequal errors with additional scatter; and robust regression.
+"""Least squares for points with unequal errors and additional scatter, and robust regression, both with intervals.
 
 The variance of a point is its known measurement variance plus that of an additional scatter, which is equal for all
 points or in known ratios. The scatter is chosen so that the weighted sum of squared residuals equals its degrees of
@@ -25,7 +25,7 @@ from hapticd.base.yaml_source import Json
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 CONFIDENCE_LEVEL: Final = 0.95
-"""Confidence level of all intervals."""
+"""Confidence level of the intervals of fits and calibrations."""
 TUKEY_TUNING: Final = 4.685
 """Residual, in standard deviations, beyond which a point has no weight; the efficiency for normal errors is 95 %."""
 MAX_REWEIGHTING_ROUNDS: Final = 60
@@ -37,7 +37,7 @@ class FitError(HapticdError):
 
 
 class UnitError(FitError):
-    """The unit or the sign of a recording is wrong, and so probably in all recordings of its set."""
+    """The unit or the sign of a recording seems wrong, probably in all recordings of the same set."""
 
 
 def require_scipy(what: str = "fitting recordings") -> None:
@@ -73,7 +73,7 @@ class Estimate:
         return self.low > 0 or self.high < 0
 
     def to_dict(self) -> dict[str, Json]:
-        """Return the estimate as JSON."""
+        """Return the estimate as a mapping for JSON."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
 
@@ -91,9 +91,9 @@ class Regression:
     """Measured minus modelled values (n,)."""
     freedom: int
     scatter: float
-    """Mean standard deviation of the scatter that the measurement variances do not explain."""
+    """Standard deviation of the scatter that the measurement variances do not explain, RMS over the points."""
     squares: float
-    """Weighted sum of squares of the residual."""
+    """Weighted sum of the squared residuals."""
 
 
 def student_t(freedom: float, level: float = CONFIDENCE_LEVEL) -> float:
@@ -198,10 +198,10 @@ def jackknife_error(without: Floats) -> Floats:
     return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
 
 
-def well_conditioned(columns: Floats, worst: float = 100.0) -> bool:
-    """Return whether the condition number of the columns, each scaled to norm 1, is below `worst`."""
+def well_conditioned(columns: Floats, limit: float = 100.0) -> bool:
+    """Return whether the condition number of the columns, each scaled to norm 1, is below `limit`."""
     norms = np.linalg.norm(columns, axis=0)
-    return bool((norms > 0).all()) and float(np.linalg.cond(columns / norms)) < worst
+    return bool((norms > 0).all()) and float(np.linalg.cond(columns / norms)) < limit
 
 
 def _correlation(one: Floats, other: Floats) -> float:
@@ -211,7 +211,7 @@ def _correlation(one: Floats, other: Floats) -> float:
 
 
 def _scatter(columns: Floats, y: Floats, own: Floats, ratios: Floats) -> float:
-    """Return the mean variance of the additional scatter of points whose measurement variances are `own`."""
+    """Return the mean variance of the additional scatter. `own` are the points' measurement variances."""
     freedom = len(y) - columns.shape[1]
 
     def squares(scatter: float) -> float:

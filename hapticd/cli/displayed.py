@@ -279,7 +279,7 @@ def verify_command(
         note("interrupted; the force is zero")
         raise
     if recording is None:
-        verdicts = [*verify.from_simulation(config, played), *verify.verdicts_on_walls(config, speed, axis)]
+        verdicts = [*verify.from_simulation(config, played), *verify.compare_on_walls(config, speed, axis)]
     else:
         _ask_for(recording, not simulated and not yes)
         verdicts = verify.from_recording(played, load_recording(recording, scale))

@@ -9,21 +9,21 @@ Writing:
 
 Reading:
 
-    recording       `hapticd.load` and the class Recording; the files of a new recording
+    recording       `hapticd.load` and the class Recording; opens the files of a new recording
     reader          reads a .npz, and reports the fault of a damaged file
     missed_periods  counts periods without a tick from samples
 
 Rendering:
 
-    replay          renders a recording again with the servo's tick, and compares the forces
+    replay          renders a recording again by the servo's tick, and compares the forces
     simulated       `hapticd simulate`: renders a scene and an operator into a recording
 
 Questions, and where to begin:
 
     What does a file hold?
         docs/protocol.md (Files); then writer and event_columns.
-    What records a running daemon?
-        client/record; the flight recorder is daemon/flight_recorder. Both use RecordingWriter.
+    Which modules record a running daemon?
+        client/record and daemon/flight_recorder. Both use RecordingWriter.
     Why does a replay differ from its recording?
         replay (_difference, _doubts).
 """

@@ -1,6 +1,7 @@
-"""Conversion of events to columns of a recording, and back. Members that an event lacks have a reserved value.
+"""Conversion of events to columns of a recording, and back.
 
-An event that is read from a recording has the same members and types as in telemetry.
+A member that an event lacks has a reserved value in its column. Events read from a recording have the same members and
+types as in telemetry.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ import numpy as np
 import numpy.typing as npt
 
 NO_TIME: Final = -(2**63)
-"""Value of a missing time, which is numpy's NaT."""
+"""Value of a missing time: numpy's NaT (not a time)."""
 
 ROW_BLOCK_BYTES: Final = 1 << 20
-"""Rows are converted in blocks of about 1 MiB, since the longest text determines the size of every row."""
+"""Rows are converted in blocks of about 1 MiB, as one long text enlarges every row."""
 
 
 class Kind(Enum):
-    """JSON type of a member, which determines the type of its column."""
+    """JSON type of an event's member; it determines the numpy type of the column."""
 
     TEXT = "string"
     INTEGER = "integer"
@@ -41,7 +42,7 @@ EVENT_MEMBER_KINDS: Final[dict[str, Kind]] = {
     **dict.fromkeys(("appeared", "completed"), Kind.TRUTH),
     **dict.fromkeys(("faults", "data"), Kind.JSON),
 }
-"""Kinds of the members of events; docs/protocol.md describes the members."""
+"""Types of the members of events, which docs/protocol.md describes."""
 
 COMMON_EVENT_MEMBERS: Final = ("event", "tick", "time_ns")
 """Members that every event has."""
@@ -51,19 +52,19 @@ EVENT_MEMBER_SCHEMAS: Final[dict[str, object]] = {
     "faults": {"type": "array", "items": {"type": "string"}},
     "data": {},
 }
-"""JSON Schema of each member."""
+"""JSON Schema of each member of events, for exports."""
 
 NULLABLE_MEMBERS: Final = frozenset(("object", "true_speed_m_per_s", "data"))
-"""Members whose value may be None."""
+"""Members of events whose value may be None."""
 
 
 class Column(NamedTuple):
-    """A column, for one member, of the array of events in a recording."""
+    """A column of the array of events in a recording: the values of one member."""
 
     name: str
     kind: Kind
     form: str
-    """Format of the numpy dtype."""
+    """numpy type, such as <f8."""
     absent: object
     """Value in the row of an event without the member, or with None."""
 
@@ -82,7 +83,7 @@ def _text(kind: Kind, value: object) -> str:
 def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
     """Return the number of events, and a column for each member that occurs in them.
 
-    Without events there are the columns of `COMMON_EVENT_MEMBERS`. numpy types, and the values of missing members:
+    Without events, the columns are those of COMMON_EVENT_MEMBERS. Types, and values of missing members:
 
     - booleans: i1; missing: -1
     - integers: i8; missing: 0, or NO_TIME if the name ends in `_ns`
@@ -112,7 +113,7 @@ def columns_of(events: Iterable[Mapping[str, Any]]) -> tuple[int, list[Column]]:
 
 
 def _guessed(types: set[type]) -> Kind:
-    """Return the kind of an unknown member, determined by the types of its values."""
+    """Return the kind of a member that is not in EVENT_MEMBER_KINDS, from the types of its values."""
     if types == {bool}:
         return Kind.TRUTH
     if types == {int}:
@@ -126,7 +127,7 @@ def dtype_of(columns: Iterable[Column]) -> np.dtype[np.void]:
 
 
 def rows_of(events: Iterable[Mapping[str, Any]], columns: list[Column]) -> Iterator[npt.NDArray[np.void]]:
-    """Yield the rows of the array of events, in blocks."""
+    """Yield blocks of rows of the array of events, each of about ROW_BLOCK_BYTES."""
     dtype = dtype_of(columns)
     block_rows = max(1, ROW_BLOCK_BYTES // max(1, dtype.itemsize))
     rows: list[tuple[object, ...]] = []
@@ -144,7 +145,7 @@ def rows_of(events: Iterable[Mapping[str, Any]], columns: list[Column]) -> Itera
 
 @lru_cache
 def members_of(event: str) -> frozenset[str] | None:
-    """Return the names of the members of events of this kind; None for an unknown kind."""
+    """Return the names of the members of an event, given its kind such as "contact"; None for an unknown kind."""
     from hapticd.base.core import EVENT_DTYPE, EventKind, records
     from hapticd.protocol.events import event_map
 
@@ -157,9 +158,9 @@ def members_of(event: str) -> frozenset[str] | None:
 
 
 def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
-    """Yield the events in rows of a .npz.
+    """Yield the events in rows of the array of events of a recording.
 
-    An event of an unknown kind has the members whose cells do not hold the value for a missing member.
+    An event of an unknown kind has the members whose cells differ from the reserved value for a missing member.
     """
     names = rows.dtype.names or ()
     forms = [rows.dtype[name].str[1:] for name in names]
@@ -183,7 +184,7 @@ def _values(column: npt.NDArray[Any]) -> list[Any]:
 
 
 def _is_absent(name: str, form: str, value: Any) -> bool:
-    """Return whether a cell may stand for a missing member; the reserved value 0 may also be the member's own value."""
+    """Return whether a cell has the reserved value of a missing member; 0 may also be a value of the member."""
     match form[0]:
         case "U":
             return bool(value == "")
@@ -202,7 +203,7 @@ def _restored(name: str, form: str, value: Any, absent: bool) -> object:
 
 
 def cell_of(name: str, value: object) -> object:
-    """Return the value of a member as it is written to a .csv."""
+    """Return the cell of a .csv for a member's value; lists, maps, truth values and None become JSON."""
     if EVENT_MEMBER_KINDS.get(name) is Kind.JSON or isinstance(value, list | dict | bool) or value is None:
         return json.dumps(value)
     return value

@@ -45,30 +45,36 @@ Events: TypeAlias = Iterable[Mapping[str, Any]]
 Texts: TypeAlias = Mapping[str, Any]
 
 _PACKAGES_OF_SUFFIX: Final = {".mcap": ("mcap", "zstandard"), ".csv": ("pandas",)}
-"""Packages that each format needs. The first has the name of hapticd's extra."""
+"""Packages that a format needs, by the file's ending. The first is also the name of hapticd's extra for the format."""
 _BLOCK_SAMPLES: Final = 100_000
 """Number of samples that are converted at once."""
 _ATTACHED_TEXTS: Final = ("config", "scene", "materials", "status")
+"""Texts that become attachments of a .mcap, as they are known at the start."""
 _METADATA_TEXTS: Final = ("recording", "flight")
+"""Texts that become metadata of a .mcap, as they are known only at the end."""
 _ROS_TYPES: Final = {"u8": "uint64", "i8": "int64", "f8": "float64", "u4": "uint32", "i4": "int32", "f4": "float32"}
+"""Type in a ros2msg definition, by numpy type."""
 _CDR_LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
+"""CDR header of a message with little-endian numbers."""
 _SAMPLES_CHANNEL, _EVENT_CHANNEL, _STATUS_CHANNEL, _CHANGE_CHANNEL = range(1, 5)
-"""Ids of channels, which are also those of their schemas; mcap's writer numbers both from 1."""
+"""Ids of the channels of a .mcap and of their schemas; mcap's writer numbers both from 1."""
 _STATUS_MEMBERS: Final = {
     name: {"type": kind}
     for name, kind in (("tick", "integer"), ("rate_hz", "number"), ("revision", "integer"), ("forces", "string"))
 }
+"""JSON Schema of some members of the status."""
 _JSON_CHANNELS: Final = {
     "hapticd/event": ("hapticd.Event", EVENT_MEMBER_SCHEMAS),
     "hapticd/status": ("hapticd.Status", _STATUS_MEMBERS),
     "hapticd/change": ("hapticd.Change", {"revision": {"type": "integer"}}),
 }
+"""Name and members of the schema of each JSON topic."""
 
 
 def files_of(target: Path) -> list[Path]:
-    """Return the files of an export to `target`, which is the last of them.
+    """Return the files that an export to `target` writes, with `target` last.
 
-    Raises HapticdError if its ending is not .csv or .mcap, or packages of the format are not installed.
+    Raises HapticdError if the ending of `target` is not .csv or .mcap, or if a needed package is not installed.
     """
     packages = _PACKAGES_OF_SUFFIX.get(target.suffix.lower())
     if packages is None:
@@ -86,7 +92,7 @@ def files_of(target: Path) -> list[Path]:
 
 
 def export(samples: Samples, events: Events, texts: Texts, target: Path, overwrite: bool) -> None:
-    """Write a recording in the format that the ending of `target` names. Raises HapticdError."""
+    """Write a recording in the format of the ending of `target`. Raises HapticdError if the files cannot be written."""
     files = files_of(target)
     if len(files) == 1:
         with atomic_file(target, overwrite) as file:
@@ -184,7 +190,7 @@ def _other_messages(samples: Samples, events: Events, texts: Texts) -> Iterator[
     time_ns = int(samples["time_ns"][0]) if len(samples) else 0
     if texts.get("status"):
         yield _json_message(time_ns, _STATUS_CHANNEL, texts["status"])
-    # A change has the time of the first sample that it acts on, or without one that of the change before it.
+    # A change has the time of the first sample rendered with it; without such a sample, that of the previous change.
     revisions, rows = np.unique(samples["revision"], return_index=True)
     first_rows = dict(zip(revisions.tolist(), rows.tolist(), strict=True))
     for change in texts.get("changes", ()):

@@ -1,4 +1,4 @@
-"""Missed periods: periods of the servo without a tick, counted from samples."""
+"""Missed periods (periods of the servo without a tick), counted from samples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hapticd.base import wording
 from hapticd.base.core import Flag
 
 MAX_LISTED_GAPS: Final = 1000
-"""Maximum number of gaps that a recording lists; the ticks of its samples show all."""
+"""Maximum number of gaps that a recording lists; the ticks of the samples show all gaps."""
 
 
 def missed_periods(
@@ -22,8 +22,8 @@ def missed_periods(
 ) -> int:
     """Return the number of missed periods between the first and the last of these samples.
 
-    `rate_hz` is the servo rate, or that at each sample, shape (n,). `before` is (tick, time_ns) of the sample that
-    precedes `samples`. Ticks whose samples telemetry lost are not missed periods.
+    `rate_hz` is the servo rate, or an array (n,) with the rate at each sample. `before` is (tick, time_ns) of the
+    sample before the first one. Ticks whose samples telemetry lost are not missed periods.
     """
     if len(samples) == 0:
         return 0
@@ -51,7 +51,7 @@ def rates_of(
 
 
 def gaps_of(ticks: npt.NDArray[np.int64], before: int | None = None) -> list[tuple[int, int]]:
-    """Return the first tick and the number of ticks of each gap in `ticks`; `before` is the tick before them."""
+    """Return the first tick and the length of each gap in `ticks`. `before` is the tick before the first of `ticks`."""
     steps = np.diff(ticks, prepend=ticks[:1] - 1 if before is None else before)
     return [(int(ticks[place] - steps[place] + 1), int(steps[place]) - 1) for place in np.flatnonzero(steps > 1)]
 

@@ -1,6 +1,6 @@
 """Reader of recordings. Samples are mapped into memory, not copied. The error of a damaged file is one line.
 
-Before memory is allocated, the size in the header of each array of the archive is compared with the archive's size.
+Before memory is allocated for an array, the size in its header is compared with its size in the archive.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from hapticd.recording.event_columns import ROW_BLOCK_BYTES, events_of_rows
 from hapticd.recording.writer import Samples
 
 TEXT_MEMBERS: Final[tuple[str, ...]] = ("config", "scene", "materials", "changes", "status", "recording", "flight")
-"""Names of the JSON texts in a file; unknown members are not read."""
+"""Names of the JSON texts in a recording. Members of the archive with unknown names are not read."""
 
 _READ_BLOCK_BYTES: Final = 1 << 20
 """Bytes that are read at once when a checksum is computed."""
 _MAX_REASON_CHARACTERS: Final = 200
-"""Length in characters at which the reason is cut in the error of a damaged file."""
+"""In the error of a damaged file the reason is cut at this length."""
 _MAX_UNPACKED_BYTES, _MAX_COMPRESSION_RATIO = 2**30, 32
 """A member of the archive may take 1 GiB, or 32 times its compressed size if this is more."""
 _MAP_NORESERVE: Final = 0x4000
-"""MAP_NORESERVE of Linux, which Python 3.11 does not define. With it a mapped file may be larger than the memory."""
+"""Flag of Linux that Python 3.11 does not define. With the flag a mapped file may be larger than the memory."""
 _LOCAL_HEADER: Final = struct.Struct("<4s22xHH")
-"""Local header of a zip member: signature, and the lengths of name and extra field."""
+"""Header of a member within a zip file: signature, and the lengths of name and extra field."""
 READING_ERRORS: Final = (
     ValueError,
     LookupError,
@@ -57,7 +57,7 @@ READING_ERRORS: Final = (
 
 
 Contents: TypeAlias = tuple[Samples, list[dict[str, Any]], dict[str, Any], npt.NDArray[np.float64] | None]
-"""Samples, events, texts and truth; see `hapticd.Recording`."""
+"""Samples, events, texts and truth of a recording; see `hapticd.Recording`."""
 
 
 def read(path: str | os.PathLike[str]) -> Contents:
@@ -96,7 +96,7 @@ def _read(file: IO[bytes], archive: zipfile.ZipFile) -> Contents:
 
 
 def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Read shape and type from a member's .npy header. Raises ValueError if they do not match the size of its data."""
+    """Read shape and type from a member's .npy header. Raises ValueError if the member's data have another size."""
     read_header = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
@@ -111,7 +111,9 @@ def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...
     if member.tell() + size != info.file_size:
         raise ValueError(f"{info.filename} should have {size} bytes of data, has {info.file_size - member.tell()}")
     if size > max(_MAX_UNPACKED_BYTES, _MAX_COMPRESSION_RATIO * info.compress_size):
-        raise ValueError(f"{info.filename} needs {size} bytes of memory, too many for {info.compress_size} in the file")
+        raise ValueError(
+            f"{info.filename} needs {size} bytes of memory, too many for {info.compress_size} bytes in the file"
+        )
     return shape, dtype
 
 
@@ -141,7 +143,7 @@ def _read_samples(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipIn
 
 
 def _mapped(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> npt.NDArray[np.uint8]:
-    """Map the bytes of an uncompressed member into memory, copy-on-write."""
+    """Map the bytes of an uncompressed member of an archive into memory, copy-on-write."""
     with archive.open(info) as member:
         while member.read(_READ_BLOCK_BYTES):  # at its end the archive's checksum is checked
             pass
@@ -156,7 +158,7 @@ def _mapped(file: IO[bytes], archive: zipfile.ZipFile, info: zipfile.ZipInfo) ->
 
 
 def _with_current_fields(samples: Samples) -> Samples:
-    """Convert samples of another version to the fields of this version. Raises ValueError if a field is missing."""
+    """Convert samples of another version to the fields of this one. Raises ValueError if the samples lack a field."""
     missing = [name for name in SAMPLE_DTYPE.names or () if name not in (samples.dtype.names or ())]
     if missing:
         raise ValueError(f"samples.npy lacks {', '.join(missing)}")
@@ -166,7 +168,7 @@ def _with_current_fields(samples: Samples) -> Samples:
 
 
 def _read_events(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[dict[str, Any]]:
-    """Yield the events, read in blocks of about ROW_BLOCK_BYTES."""
+    """Yield the events of an archive, read in blocks of about ROW_BLOCK_BYTES."""
     with archive.open(info) as member:
         shape, dtype = _read_head(member, info)
         if len(shape) != 1:

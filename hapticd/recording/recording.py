@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Content of a file of `hapticd record`, `hapticd simulate` or the flight recorder."""
+    """Content of a recording written by `hapticd record`, `hapticd simulate` or the flight recorder."""
 
     path: str
     samples: Samples
@@ -46,9 +46,9 @@ class Recording:
     events: list[dict[str, Any]] = field(repr=False)
     """Events with the same members as in telemetry."""
     texts: Mapping[str, Any] = field(repr=False)
-    """Other content of the file, by name: scene, materials, configuration and more."""
+    """Other content of the file by name: scene, materials, config, changes, status, recording, flight."""
     truth: npt.NDArray[np.float64] | None = field(default=None, repr=False)
-    """The exact x and y of the handle in m, and its velocities in m/s, shape (n, 4); None unless simulated."""
+    """Exact x and y of the simulated handle in m, and its velocities in m/s, shape (n, 4); None if not simulated."""
 
     def __repr__(self) -> str:
         return f"<hapticd.Recording {self.path}: {len(self.samples):,} ticks, {len(self.events):,} events>"
@@ -60,7 +60,7 @@ class Recording:
 
     @property
     def scene(self) -> dict[str, Any]:
-        """The scene at the start; empty if it is not in the file."""
+        """The scene at the start; empty if the file lacks it."""
         return self._map("scene")
 
     @property
@@ -75,15 +75,12 @@ class Recording:
 
     @property
     def status(self) -> dict[str, Any]:
-        """Result of get_status at the start; in a file of the flight recorder, at the time when the file was written.
-
-        Empty if no daemon was recorded.
-        """
+        """The daemon's status at the start, or when the flight recorder wrote the file; empty without a daemon."""
         return self._map("status")
 
     @property
     def changes(self) -> list[dict[str, Any]]:
-        """Changes that commands made, in order; the first entry has the scene's revision at the start."""
+        """What commands changed or did, in order. The first entry has the scene's revision at the start."""
         changes = self.texts.get("changes")
         return [change for change in changes if isinstance(change, dict)] if isinstance(changes, list) else []
 
@@ -95,23 +92,23 @@ class Recording:
 
     @property
     def started(self) -> Moment | None:
-        """The daemon's clocks when the recording began; None for a simulation or if they were not read."""
+        """Times of the daemon's clocks when the recording began; None for a simulation, or if they were not read."""
         return moment_of(self._about.get("started"))
 
     @property
     def ended(self) -> Moment | None:
-        """The daemon's clocks when the recording ended; None if they were not read."""
+        """Times of the daemon's clocks when the recording ended; None if they were not read."""
         return moment_of(self._about.get("ended"))
 
     @property
     def ended_because(self) -> str | None:
-        """Why the recording ended early; None if it did not."""
+        """Why the recording ended early, such as "stopped" or "killed"; None if it was completed."""
         reason = self._about.get("ended_because", self._about.get("ended"))
         return reason if isinstance(reason, str) else None
 
     @property
     def rate_hz(self) -> float:
-        """Servo rate at the start. Raises HapticdError if it is not in the file."""
+        """Servo rate at the start. Raises HapticdError if the file lacks it."""
         servo = self.config.get("servo")
         configured = servo.get("rate_hz") if isinstance(servo, dict) else None
         first = self.changes[0].get("rate_hz") if self.changes else None
@@ -129,9 +126,9 @@ class Recording:
         return missed_periods(self.samples, rates_of(self.samples, self.changes, self.rate_hz))
 
     def utc(self) -> npt.NDArray[np.datetime64]:
-        """Return the time of day (UTC) of each sample, shape (n,), computed from the clocks at the start.
+        """Return the UTC date and time of each sample, shape (n,), computed from the daemon's clocks.
 
-        Raises HapticdError if these clocks are not in the file.
+        Uses the clocks at the start, else those at the end. Raises HapticdError if the file lacks both.
         """
         moment = self.started or self.ended
         if moment is None:
@@ -151,7 +148,7 @@ class Recording:
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
         """Write the recording to a file: a .npz, or an export (.csv or .mcap), which does not hold `truth`.
 
-        Returns `path`. Raises HapticdError.
+        Returns `path`. Raises HapticdError if the file cannot be written, or exists and `overwrite` is False.
         """
         target = Path(path)
         check_saved(target, overwrite)
@@ -179,7 +176,7 @@ class Recording:
 def check_saved(target: str | os.PathLike[str], overwrite: bool) -> None:
     """Raise HapticdError if a recording cannot be saved as `target`.
 
-    Reasons are an unknown ending, an existing file without `overwrite`, and a file that is not a regular file.
+    Reasons: an unknown ending, an existing file without `overwrite`, a target that is not a regular file.
     """
     path = Path(target)
     for file in (path,) if path.suffix.lower() == ".npz" else reversed(files_of(path)):
@@ -189,8 +186,8 @@ def check_saved(target: str | os.PathLike[str], overwrite: bool) -> None:
 def load(path: str | os.PathLike[str]) -> Recording:
     """Read a recording: the .npz of `hapticd record`, `hapticd simulate` or `hapticd flight`.
 
-    Its samples are mapped into memory, so that the file may be larger than the memory.
-    Raises HapticdError (one line) if the file is not a recording.
+    Its samples are mapped into memory, so that the file may be larger than the memory. Raises HapticdError if the file
+    is not a recording.
     """
     return Recording(os.fspath(arguments.path("path", path)), *read(path))
 
@@ -199,7 +196,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
 
 
 def recording_path(target: str | os.PathLike[str]) -> Path:
-    """Return the path of the .npz that a recording into `target` writes. Raises HapticdError for an unknown ending."""
+    """Return the path of the .npz that recording to `target` writes. Raises HapticdError for an unknown ending."""
     path = Path(target)
     if path.suffix.lower() == ".npz":
         return path
@@ -217,9 +214,9 @@ def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
 def recording_into(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator[RecordingWriter]:
     """Open the writer of a recording, whose `finish` must be called in the `with` block.
 
-    Raises HapticdError as `check_target` does, before anything is written. At the block's end it raises HapticdError if
-    another program has created the target meanwhile, or the export failed; the error names the file that holds the
-    recording.
+    Raises HapticdError before anything is written, as `check_target` does. At the end of the block, raises HapticdError
+    if another program has created the target meanwhile, or if the export failed. This error names the file that holds
+    the recording.
     """
     check_target(target, overwrite)
     recording = recording_path(target)

@@ -1,6 +1,6 @@
-"""Recovery of recordings whose process was killed: reports their partial files, or makes recordings of them.
+"""Recovery of recordings whose process was killed, from their partial files.
 
-`hapticd record` reports partial files next to its target and continues; `hapticd recover` makes recordings of them.
+`hapticd record` warns of partial files next to its target; `hapticd recover` makes recordings of them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hapticd.recording.recording import recording_path
 from hapticd.recording.writer import NOTES_ENDING, RecordingWriter
 
 _DAMAGED_TEXT: Final = "damaged; left unchanged"
-"""Reason why a damaged partial file was not recovered."""
+"""Why a damaged partial file was not recovered, in the output of `hapticd recover`."""
 
 
 class Recovered(NamedTuple):
@@ -29,13 +29,13 @@ class Recovered(NamedTuple):
 
 
 def _partial_files(recording: Path) -> list[Path]:
-    """Return the partial files of a recording's path."""
+    """Return the partial files of recordings to this path, sorted."""
     path = Path(os.path.realpath(recording))
     return sorted(path.parent.glob(f".{glob.escape(path.name)}.*.part"))
 
 
 def partial_files_warning(target: str | os.PathLike[str]) -> str | None:
-    """Return a warning about partial files of earlier recordings into `target`, or None if none exist."""
+    """Return a warning about partial files of other recordings to `target`; None without such files."""
     recording = recording_path(target)
     name, parts = os.fspath(recording), _partial_files(recording)
     if not parts:
@@ -63,7 +63,7 @@ def recover(target: str | os.PathLike[str]) -> Recovered:
 
 
 def _recover(recording: Path, part: Path) -> Path | str:
-    """Make a recording of one partial file; return its path, or the reason why the file was not recovered."""
+    """Make a recording of a partial file. Return the path of the recording, or the reason of the failure."""
     if not part.with_suffix(NOTES_ENDING).exists():
         return _DAMAGED_TEXT
     try:

@@ -1,12 +1,12 @@
-"""Replay of recordings: the servo's tick with the recorded input, and comparison of the forces.
+"""Replay of recordings: the servo's tick renders the recorded input again, and the forces are compared.
 
-The force of a tick is a function of scene, state and input. Samples hold the input (position, velocity, time, whether
-forces were on); a recording also holds the scenes and the commands `play` and `reset`. It does not hold the state. So a
+The force of a tick is a function of scene, state and input. Samples hold the input: position, velocity, time, and
+whether forces were on. A recording also holds the scenes and the commands `play` and `reset`, but not the state. So a
 replay begins where the state is known: at tick 0, or at a tick without contacts, ringing modes and ramps. It begins
 again after missing ticks, a fault, a change of the rate, or a streamed force, which recordings do not hold. Rendered
-forces should equal the recorded ones, bit for bit. If they do not, the recording lacks something that affects forces.
+forces should equal the recorded ones, bit for bit. Otherwise the recording lacks something that affects forces.
 
-In a file of the flight recorder, ticks before the first change that it holds are not rendered.
+A file of the flight recorder holds all commands from the tick `complete_from` on; earlier ticks are not rendered.
 
 A recording does not hold the number of earlier contacts of an object (which selects its noise), membranes that were
 punctured before, effects that the device played, the time within a period at which a real device's report arrived, and
@@ -41,7 +41,7 @@ from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import Rerun
 
 FORCE_FIELDS: Final = ("contact_force_n", "vibration_force_n", "force_n")
-"""Fields of the samples that are compared."""
+"""Fields of recorded and rendered samples that are compared."""
 
 REQUIRED_TEXTS: Final = ("config", "scene", "materials", "changes")
 """Texts that a recording must hold to be rendered again."""
@@ -52,16 +52,16 @@ _REASON_OF_LEFT_OUT: Final = {
     "streamed": "with a streamed force",
     "begun_before": "with an unknown state",
 }
-"""Text for each key of `Replay.left_out` in a summary."""
+"""Text in `Replay.summary` for each key of `Replay.left_out`."""
 _UNSETTLED_FLAGS: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
-"""Flags of ticks at which a replay cannot begin, as the state depends on earlier ticks."""
+"""A replay cannot begin at a tick with one of these flags, as its state depends on earlier ticks."""
 _MAX_PERIODS: Final = 0xFFFFFFFF
-"""Maximum number of periods between two ticks."""
+"""Maximum number of periods between two ticks, as the core counts them with 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Maximum and RMS, in N, of the magnitude of the recorded force minus the rendered one."""
+    """Maximum and RMS of the magnitude of the recorded minus the rendered force, in N."""
 
     largest_n: float
     rms_n: float
@@ -82,19 +82,19 @@ class Replay:
     identical: int
     """Number of ticks whose three forces equal the recorded ones, bit for bit."""
     first_different: int | None
-    """First tick with a different force, if any."""
+    """First tick whose rendered force differs from the recorded one; None without such a tick."""
     differences: dict[str, Difference]
-    """Difference over all rendered ticks, for each of FORCE_FIELDS."""
+    """Difference of the forces over all rendered ticks, for each of FORCE_FIELDS."""
     missing_revisions: tuple[int, ...]
-    """Revisions whose scene is not in the recording; their ticks were not rendered."""
+    """Revisions of the scene that the recording lacks; their ticks were not rendered."""
     left_out: Mapping[str, int]
-    """Number of ticks that were not rendered, by reason: `fault` (a fault was latched), `scene` (the scene is not in
-    the recording), `streamed` (a force was streamed), `begun_before` (a contact, mode or ramp began before the
-    recording, or an earlier `play` is not in the file)."""
+    """Number of ticks that were not rendered, by reason: `fault` (a fault was latched), `scene` (the file lacks the
+    scene), `streamed` (a force was streamed), `begun_before` (a contact, mode or ramp began before the recording, or
+    the file lacks an earlier `play`)."""
     doubts: tuple[str, ...]
-    """Possible reasons for different forces; empty if all forces are identical."""
+    """Sentences on possible reasons for different forces; empty if all forces are identical."""
     settled: bool
-    """Whether the state is known at some tick; if not, it is assumed that nothing acted before the recording began."""
+    """Whether the state is known at any tick. If not, the replay assumes that nothing acted before the recording."""
     texts: Mapping[str, Any]
     """Texts of the recording; see `hapticd.Recording`."""
     source: str | os.PathLike[str]
@@ -133,7 +133,7 @@ class Replay:
             writer.finish()
 
     def to_dict(self) -> dict[str, object]:
-        """Return the result of the replay as plain data, without samples and events."""
+        """Return the result of the replay as a mapping for JSON, without samples and events."""
         return {
             "ticks": self.ticks,
             "replayed": len(self.samples),
@@ -247,7 +247,7 @@ def _replay(recorded: Recording) -> Replay:
 
 
 def _left_out(samples: Samples, known: list[int], rendered: int) -> dict[str, int]:
-    """Return the number of ticks that were not rendered, by reason; see `Replay.left_out`."""
+    """Return the number of ticks that were not rendered, by reason (see `Replay.left_out`)."""
     faults = samples["flags"] & Flag.FAULT != 0
     unknown = ~np.isin(samples["revision"], known) & ~faults
     streamed = (samples["flags"] & Flag.STREAMED != 0) & ~faults & ~unknown
@@ -266,7 +266,7 @@ def _difference(between: npt.NDArray[np.float64]) -> Difference:
 
 
 def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:
-    """Return possible reasons why rendered forces differ: causes that recordings do not hold."""
+    """Return sentences on influences that recordings do not hold, as possible reasons for different forces."""
     noise = any(
         isinstance(revision.materials[name].texture, Stochastic | Autoregressive)
         for revision in revisions
@@ -296,12 +296,12 @@ class _Revision:
     scene: Scene
     materials: Mapping[str, Material]
     changed: tuple[str, ...]
-    """Ids of objects that changed since the previous _Revision, in the order of their changes."""
+    """Ids of objects that changed since the previous _Revision, the first change first."""
     rate_hz: float
 
 
 def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> Iterator[_Revision]:
-    """Yield the revisions of the scene with the numbers `wanted`, in order."""
+    """Yield those revisions of the scene whose numbers are in `wanted`, in order."""
     scene = validate_scene(texts["scene"], ("scene",))
     materials: dict[str, Material] = validate_materials(texts["materials"])
     pending = dict.fromkeys(scene.objects)
@@ -329,7 +329,7 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> It
 
 
 def _change_scene(rerun: Rerun, revisions: list[_Revision], index: int, to: int) -> int:
-    """Change the scene from `revisions[index]`, or from no scene if `index` < 0, to `revisions[to]`; return `to`."""
+    """Change the scene of a rerun from `revisions[index]` (`index` < 0: no scene) to `revisions[to]`; return `to`."""
     if to > index:
         changed = [id for revision in revisions[index + 1 : to + 1] for id in revision.changed]
     else:
@@ -346,9 +346,9 @@ def _change_scene(rerun: Rerun, revisions: list[_Revision], index: int, to: int)
 def _segments(
     samples: Samples, rates_hz: npt.NDArray[np.float64], known: npt.NDArray[np.bool_], texts: Mapping[str, Any]
 ) -> tuple[list[tuple[slice, bool]], bool]:
-    """Return segments of consecutive ticks, each with whether the commanded force begins at zero, and `settled`.
+    """Return the segments of consecutive ticks to render, and whether the state at their beginnings is known.
 
-    `settled` is whether the state is known at the beginning of the segments.
+    Each segment has a flag: whether its commanded force begins at zero and rises over the ramp.
     """
     flags = samples["flags"]
     usable = known & (flags & (Flag.FAULT | Flag.STREAMED) == 0)
@@ -357,7 +357,7 @@ def _segments(
     begins = np.flatnonzero(usable & ~(follows & np.roll(usable, 1)))
     ends = np.flatnonzero(usable & ~np.append((follows & usable)[1:], False)) + 1
     at_start = samples["tick"] == 0
-    # The second of two such ticks: the force of a removed object still acts in the last tick of its ramp.
+    # A replay begins at the second of two quiet ticks: a removed object still acts in the last tick of its ramp.
     quiet = flags & _UNSETTLED_FLAGS == 0
     fit = (quiet & np.roll(quiet, 1) & follows) | at_start
     runs = list(zip(begins.tolist(), ends.tolist(), strict=True))
@@ -406,7 +406,7 @@ def _carry_out(rerun: Rerun, command: Mapping[str, Any], time_ns: int) -> None:
 
 
 def _periods(samples: Samples, rates_hz: npt.NDArray[np.float64]) -> npt.NDArray[np.uint32]:
-    """Return the number of periods since the previous tick, shape (n,); above 1 if periods were missed."""
+    """Return the number of periods from the previous tick to each tick, shape (n,); above 1 if periods were missed."""
     elapsed = np.diff(samples["time_ns"], prepend=samples["time_ns"][:1]) * (rates_hz / 1e9)
     missed = samples["flags"] & Flag.SKIPPED != 0
     return np.where(missed, np.clip(np.rint(elapsed), 1, _MAX_PERIODS), 1).astype(np.uint32)
@@ -415,7 +415,7 @@ def _periods(samples: Samples, rates_hz: npt.NDArray[np.float64]) -> npt.NDArray
 def _intervals(
     samples: Samples, periods: npt.NDArray[np.uint32], rates_hz: npt.NDArray[np.float64], device: Device
 ) -> npt.NDArray[np.float64]:
-    """Return the time in s between a tick's position report and the previous report, (n,); 0 without a new report."""
+    """Return the time (s) from the previous position report to that of each tick, (n,); 0 without a new report."""
     report_s = device.sim.reports_s[0] if device.kind == "sim" else 0.0
     fresh = samples["flags"] & Flag.REPEATED == 0
     intervals = np.zeros(len(samples))
@@ -425,6 +425,6 @@ def _intervals(
     if report_s:
         elapsed = np.maximum(np.rint(elapsed / report_s), 1.0) * report_s
     intervals[places] = elapsed
-    # No report came before the first.
+    # The first tick has no previous report.
     intervals[samples["tick"] == 0] = 0.0
     return intervals

@@ -1,4 +1,4 @@
-"""`hapticd simulate`: renders a scene and an operator from files into a recording."""
+"""`hapticd simulate`: simulates a scene and an operator from files, and writes a recording."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def simulate_files(
 ) -> dict[str, Any]:
     """Simulate a scene or a configuration with the simulated joystick, and write a recording if `output` is given.
 
-    `rate_hz` replaces the configured rate. Returns the result of `simulate --json`, in which `largest_force_n` is the
-    maximum magnitude of the commanded force. Raises HapticdError or InvalidError for invalid values and for files that
-    cannot be read or written. An existing output without `overwrite` is refused before the simulation.
+    `rate_hz` replaces the configured rate. Returns the map that `hapticd simulate --json` prints. Raises HapticdError
+    or InvalidError for invalid values and for files that cannot be read or written. An existing output without
+    `overwrite` is refused before the simulation.
     """
     with nullcontext() if output is None else recording_into(output, overwrite) as writer:
         config = configuration(scene)

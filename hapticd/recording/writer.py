@@ -1,8 +1,8 @@
 """Writer of recordings: a .npz that numpy.load reads without pickle.
 
 Samples are appended to a hidden partial file in the target's folder, so that memory stays bounded for any length of a
-recording. At the end this file becomes the archive. The samples are its first member; their header, with number and
-checksum, is then written into the room that is reserved in front of them. Events and texts follow. Until then they are
+recording. At the end this file becomes the archive, with the samples as its first member. Their header, with number
+and checksum, is written into room that was reserved in front of them. Events and texts follow; before the end they are
 in a second partial file, the notes, one JSON value per line. Last, the archive is renamed to the target.
 
 On a full disk the newest samples are dropped, so that the recording can be finished. The partial files stay if the
@@ -39,9 +39,9 @@ Samples: TypeAlias = npt.NDArray[np.void]
 Texts: TypeAlias = Mapping[str, object]
 
 NOTES_ENDING: Final = ".notes"
-"""Ending of the second partial file, the notes."""
+"""Ending of the second partial file of a recording, the notes: events and texts."""
 _WRITE_BLOCK_SAMPLES: Final = 10_000
-"""Number of samples that `write_all` writes at once."""
+"""Number of samples that `RecordingWriter.write_all` writes at once."""
 _DROPPED_BLOCK_BYTES: Final = 1 << 18
 """Bytes of samples that are dropped at once on a full disk."""
 _CHECKSUM_BLOCK_BYTES: Final = 1 << 20
@@ -55,11 +55,11 @@ _DISK_FULL_ERRORS: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 
 
 class DiskFullError(HapticdError):
-    """The disk is full. Samples that were written before are complete, and the recording can be finished."""
+    """The disk is full. The samples written before are complete, and the recording can still be finished."""
 
 
 class RecordingWriter:
-    """Writer of one recording, a context manager.
+    """Writer of a recording, a context manager.
 
     At the end of the `with` block, an unfinished recording is deleted; if finishing failed, its partial files stay for
     `hapticd recover`. Methods raise DiskFullError on a full disk, HapticdError for other failures.
@@ -73,16 +73,16 @@ class RecordingWriter:
         """
         self._name = os.fspath(target)
         self.target = Path(os.path.realpath(target))
-        """Path of the recording; after `finish` its actual path."""
+        """Path of the recording: the given one, after `finish` the actual one."""
         self.displaced = False
-        """Whether another program created the target meanwhile, so that the recording has another name."""
+        """Whether the finished recording has another name, because another program had created the target."""
         self.count = 0
         """Number of samples written."""
         self.event_count = 0
         self.last_tick, self.last_time_ns = -1, 0
         self.texts: dict[str, object] = {}
         self.about: dict[str, object] = {}
-        """Members of the text `recording` that are known at the start."""
+        """Known members of the text `recording`, with which a recovered recording is completed."""
         self._overwrite = overwrite
         self._dtype: np.dtype[np.void] = np.dtype([])
         self._start = self._header_size = 0
@@ -111,20 +111,20 @@ class RecordingWriter:
 
     @property
     def written_bytes(self) -> int:
-        """Bytes in the partial files; other threads may read it."""
+        """Bytes in the partial files. Other threads may read this property."""
         return self._part.size + self._notes.size
 
     def begin(self, texts: Texts, about: Texts | None = None) -> None:
-        """Write texts that are known at the start; `about` has the known members of the text `recording`.
+        """Write the texts that are known at the start, for a recovered recording, too.
 
-        A recovered recording holds these texts, too.
+        `about` has the known members of the text `recording`.
         """
         self.texts, self.about = dict(texts), dict(about or {})
         self._note("texts", self.texts)
         self._note("about", self.about)
 
     def write(self, samples: Samples) -> None:
-        """Append samples, always of the same dtype."""
+        """Append samples to the recording; all must have the same dtype."""
         if not self._dtype.names:
             self._dtype = samples.dtype
             self._note("dtype", np.lib.format.dtype_to_descr(samples.dtype))
@@ -146,11 +146,11 @@ class RecordingWriter:
         self.event_count += 1
 
     def write_change(self, change: Texts) -> None:
-        """Append an entry to the recording's list `changes`: what a command changed or did."""
+        """Append an entry to the list `changes` of the recording: what a command changed or did."""
         self._note("change", change)
 
     def write_all(self, texts: Texts, changes: Iterable[Texts], samples: Samples, events: Iterable[Texts]) -> None:
-        """Write all data of a recording; the caller must then call `finish`."""
+        """Write the texts, changes, samples and events of a recording. The caller must then call `finish`."""
         self.begin(texts)
         for change in changes:
             self.write_change(change)
@@ -162,9 +162,9 @@ class RecordingWriter:
     def finish(
         self, texts: Callable[[], Texts] | Texts | None = None, arrays: Mapping[str, npt.NDArray[Any]] | None = None
     ) -> None:
-        """Add `texts`, as JSON, and `arrays` to the recording, finish it, and rename it to the target.
+        """Add `texts`, as JSON, and `arrays` to the recording, complete the archive, and rename it to the target.
 
-        `texts` may be a function, which is called again after samples were dropped.
+        On a full disk, the newest samples are dropped until the archive fits; a function `texts` is then called again.
         """
         while True:
             try:
@@ -183,19 +183,19 @@ class RecordingWriter:
     # ---- The archive -------------------------------------------------------------------------------------------------
 
     def _leave_room(self, start: int | None = None) -> None:
-        """Reserve room for the headers in front of the samples; `start` is the samples' offset in a resumed file."""
+        """Reserve room for the headers in front of the samples. `start` is the samples' offset in a resumed file."""
         outer = len(_zip_info(0, 0).FileHeader(zip64=True))
-        least = outer + len(_npy_header(self._dtype, 10**18))
-        self._start = least + -least % _SAMPLE_ALIGNMENT_BYTES if start is None else max(start, least)
+        needed = outer + len(_npy_header(self._dtype, 10**18))
+        self._start = needed + -needed % _SAMPLE_ALIGNMENT_BYTES if start is None else max(start, needed)
         self._header_size = self._start - outer
 
     @property
     def _end(self) -> int:
-        """Offset in bytes of the end of the samples in the partial file."""
+        """Offset in bytes of the end of the samples within the partial file."""
         return self._start + self.count * self._dtype.itemsize
 
     def _finish(self, texts: Texts, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Finish the recording. After an OSError, it can be called again."""
+        """Complete the archive and rename it to the target. After an OSError, the recording is unfinished as before."""
         if not self._start:
             self._leave_room()
         self._part.cut(self._end)
@@ -235,7 +235,7 @@ class RecordingWriter:
         return checksum
 
     def _write_events(self, archive: zipfile.ZipFile) -> None:
-        """Write the events, compressed, in blocks of about ROW_BLOCK_BYTES."""
+        """Write the events into the archive, compressed, in blocks of about ROW_BLOCK_BYTES."""
         total, columns = columns_of(self._read_events())
         info = zipfile.ZipInfo("events.npy")
         info.compress_type = zipfile.ZIP_DEFLATED
@@ -245,7 +245,7 @@ class RecordingWriter:
                 member.write(rows.tobytes())
 
     def _read_events(self) -> Iterator[dict[str, Any]]:
-        """Yield the events, without those of dropped samples."""
+        """Yield the events from the notes, without those of dropped samples."""
         for event in self._read_notes("event"):
             if not self._gave_up_samples or int(event.get("tick", 0)) <= self.last_tick:
                 yield event
@@ -253,7 +253,7 @@ class RecordingWriter:
     # ---- Full disk, and killed process -------------------------------------------------------------------------------
 
     def _give_up_newest(self) -> bool:
-        """Drop the newest samples to make room on the disk, and return whether any samples remain."""
+        """Drop the newest samples to make room on the disk; return whether any samples remain."""
         if self.count == 0:
             return False
         self._keep(max(0, self.count - _DROPPED_BLOCK_BYTES // self._dtype.itemsize))
@@ -270,7 +270,7 @@ class RecordingWriter:
         self.event_count = sum(1 for _ in self._read_events())
 
     def _resume(self) -> None:
-        """Read the partial files of a killed process. Raises one of READING_ERRORS for unknown content."""
+        """Read the partial files of a killed process. Raises one of READING_ERRORS for damaged content."""
         for texts in self._read_notes("texts"):
             self.texts = texts
         for about in self._read_notes("about"):
@@ -280,11 +280,11 @@ class RecordingWriter:
             if not all(_FIELD_FORMAT.fullmatch(form) for _, form, *_ in fields):
                 raise ValueError("a field of samples is not a plain number")
             self._dtype = np.dtype(fields)
-            # In earlier versions samples begin right after the headers, and the notes do not hold it.
+            # In files of earlier versions samples begin right after the headers, without a note of their offset.
             self._leave_room(next(self._read_notes("start"), 0))
         if self._dtype.names:
             written = max(0, self._part.size - self._start) // self._dtype.itemsize
-            # If it was killed while it finished, other members may follow the samples.
+            # If the process was killed in `finish`, other members of the archive may follow the samples.
             self._keep(min([written, *self._read_notes("ends_after")]))
 
     def _note(self, tag: str, value: object) -> None:
@@ -308,7 +308,7 @@ class RecordingWriter:
 
     def _fail(self, error: OSError) -> NoReturn:
         message = f"{self._name}: cannot be written: {error.strerror}"
-        # Partial files stay, unless the disk is full: they may hold an hour of samples.
+        # Unless the disk is full, partial files stay: they may hold an hour of samples.
         if self.count and error.errno not in _DISK_FULL_ERRORS and self._part.is_there():
             self._keep_partial_files = True
             command = f"hapticd recover {shlex.quote(self._name)}"
@@ -317,7 +317,7 @@ class RecordingWriter:
         raise HapticdError(message) from None
 
     def discard(self) -> None:
-        """Delete the recording's partial files, also those that are being recovered."""
+        """Delete the partial files of the recording, also those of a killed process."""
         self._keep_partial_files = False
         self._close()
 
@@ -327,10 +327,13 @@ class RecordingWriter:
 
 
 class _PartialFile:
-    """A partial file, locked while its process runs. Data are appended completely or not at all."""
+    """A partial file, locked as long as its process runs. Data are appended completely or not at all."""
 
     def __init__(self, path: Path, resume: bool) -> None:
-        """Create a file, or with `resume` open one. Raises BlockingIOError if another process writes it, or OSError."""
+        """Create a file, or with `resume` open an existing one.
+
+        Raises BlockingIOError if another process has locked the file, OSError for other failures.
+        """
         self.path = path
         self._file: BinaryIO = open(path, "r+b", 0) if resume else create(path, buffering=0)  # noqa: SIM115
         try:
@@ -354,7 +357,7 @@ class _PartialFile:
         self.check_there()
 
     def check_there(self) -> None:
-        """Raise OSError if the partial file was removed from its folder."""
+        """Raise OSError if another program removed the partial file."""
         if not self.is_there():
             raise FileNotFoundError(errno.ENOENT, "it was removed while it was being written")
 
@@ -384,7 +387,7 @@ class _PartialFile:
 
 @contextmanager
 def _closing(file: BinaryIO) -> Iterator[BinaryIO]:
-    """Close a file at the end of the `with` block; after an error in the block, ignore an error of closing."""
+    """Close a file at the end of a `with` block; after an error in the block, ignore an error of closing."""
     try:
         yield file
     except BaseException:
@@ -399,7 +402,7 @@ def _line(tag: str, value: object) -> bytes:
 
 
 def _npy_header(dtype: np.dtype[Any], count: int, size: int = 0) -> bytes:
-    """Return the header of a .npy file of records, shape (count,), padded to `size` bytes."""
+    """Return the header of a .npy file with `count` records, padded to at least `size` bytes."""
     file = io.BytesIO()
     header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": (count,)}
     np.lib.format.write_array_header_1_0(file, header)
@@ -409,7 +412,7 @@ def _npy_header(dtype: np.dtype[Any], count: int, size: int = 0) -> bytes:
 
 
 def _zip_info(size: int, checksum: int) -> zipfile.ZipInfo:
-    """Return the archive's entry for its first member, the samples; its header always has the same length."""
+    """Return the entry of an archive for its first member, the samples. Its header always has the same length."""
     info = zipfile.ZipInfo("samples.npy")
     info.header_offset, info.CRC = 0, checksum
     info.file_size = info.compress_size = size

@@ -1,12 +1,12 @@
-"""Rendering: compile a configuration to the table that the servo's tick reads, judge its display, render offline.
+"""Rendering: compiles a scene to the table that the servo's tick reads, judges its display, and renders offline.
 
 Compiling:
 
-    compiler/           scene and materials become the flat C records that a tick reads
+    compiler/           converts scene and materials to the flat C records that a tick reads
     compensation        forces of a strike that make handle and hand accelerate as the material says
     filter_design       filters for coloured noise
     resampling          textures identified at one rate, as models for the servo's rate
-    device_output       properties of the device for rendering: how forces reach it, and the closed loop around it
+    device_output       properties of the device for rendering: the way of forces to the device, and the closed loop
     joystick            the simulated joystick and its operator as C objects
 
 What can be displayed:
@@ -17,16 +17,16 @@ What can be displayed:
     end_state           how a simulated motion ends: at rest, or in a cycle
     driven_hand         whether a texture keeps a light hand moving
     displayed_error     error of the handle's acceleration relative to the mode
-    rearm               how far the probe must withdraw before it can tap a surface again
+    rearm               distance to which the probe must withdraw before it can tap a surface again
 
 Stability:
 
     scene_stability     the reported stability of a scene
-    contact_sets        which surfaces can be touched together, and how stable each such set is
-    stability           whether the loop of tick, device and hand is stable, and by how much stiffness may grow
+    contact_sets        sets of surfaces that can be touched at the same time, and the stability of each set
+    stability           stability of the loop of tick, device and hand, and margins of stiffness
     stability_remedy    stiffnesses to lower so that a contact set is safe
     stability_text      the report on a scene's stability in words
-    surface_table       the part of a compiled table that the analysis reads
+    surface_table       the arrays of a compiled table that the analysis of stability reads
     surface_properties  upper bounds of the stiffness, damping and noise of surfaces
     surface_margins     the margin of each surface alone, computed in microseconds
     disc_stiffness      stiffness of a disc along its radius and around it
@@ -41,11 +41,11 @@ Questions, and where to begin:
         compiler/table (Compiler).
     How does `frequency_hz` become the recursion of a tick?
         config/modes (ModeKeys.mode) computes 2 pi f, compiler/material_record finds the mode of a tap or groove,
-        compiler/mode_record computes the complex factor of one period, by which csrc/tick/hd_mode.c multiplies.
+        compiler/mode_record computes the complex factor of one period; csrc/tick/hd_mode.c multiplies by this factor.
     Why is a mode silent, or lower than it should be?
         displayability (displayed_mode) decides; undisplayable() lists the result.
     Why is a scene called unsafe?
-        contact_sets (margins) gives the verdict on each set, by the limits and eigenvalues of stability.
+        contact_sets (margins) judges each set, by the limits and eigenvalues of stability.
     What is rendered offline, and how does it differ from the daemon?
         offline (render_run): the same tick, with time from 0 and without overruns.
 """

@@ -39,22 +39,23 @@ ERROR_BAND_LOW_HZ: Final = 30.0
 ERROR_BAND_RATE_FRACTION: Final = 0.4
 """Upper end of the band in which the displayed error is reported, as a fraction of the rate."""
 MAX_STRIKE_FORCE_RATIO: Final = 2.0
-"""Largest force of a strike, in units of (m + m_h) A with the mode's amplitude A. A larger one is scaled down to it."""
+"""Largest force of a strike, in units of (m + m_h) A with the mode's amplitude A. Larger forces are scaled down."""
 MAX_TAIL_EXTENSION_S: Final = 0.05
-"""Longest time by which a tail may outlast its mode."""
+"""Longest time by which a tail (the second pole of a strike's force) may outlast its mode."""
 MIN_TAIL_ERROR_REDUCTION: Final = 0.005
-"""A tail costs a tick as much time as a mode. It is used only if it lowers the displayed error by more than this."""
+"""A tail, which costs a tick as much time as a mode, must lower the displayed error by more than this to be used."""
 MIN_KICK_RATE_FRACTION: Final = 0.05
-"""Lowest frequency of a mode that gets kicks, as a fraction of the rate. First samples of slower modes are small."""
+"""Lowest frequency, as a fraction of the rate, of modes with kicks (corrections of single samples at the onset). First
+samples of slower modes are small."""
 MIN_KICK_ERROR_REDUCTION: Final = 0.01
-"""Kicks are used only if they lower the displayed error, RMS over all onsets, by more than this."""
+"""Kicks (corrections at the onset) must lower the displayed error, RMS over _ONSET_FRACTIONS, by more than this."""
 
 _ONSET_FRACTIONS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Onsets of the strike for which kicks are designed, in periods before its first tick."""
 _MODE_TIME_CONSTANTS: Final = 5.0
 """A mode ends five time constants after its last strike."""
 _PEAK_GRID_SAMPLES: Final = 512
-"""Samples of the grid on which the peak of a strike is searched."""
+"""Number of times at which the force of a strike is computed to find its peak."""
 
 _Complex: TypeAlias = npt.NDArray[np.complex128]
 _Floats: TypeAlias = npt.NDArray[np.float64]
@@ -72,7 +73,7 @@ class Load:
 
     @property
     def free(self) -> Load:
-        """This load without the surface: only the actuator's lag."""
+        """The load without the surface: only the lag of the actuator."""
         return Load(actuator=self.actuator)
 
     def lag(self, s: _Complex) -> _Complex:
@@ -80,9 +81,9 @@ class Load:
         return np.ones_like(s) if self.actuator is None else self.actuator.response(s)
 
     def surface(self, s: _Complex, period_s: float) -> _Complex:
-        """Return the dynamic stiffness of the surface at the complex frequencies `s`: -force/position, N/m.
+        """Return the dynamic stiffness of the surface, -force/position in N/m, at the complex frequencies `s`.
 
-        The position is sampled, damping uses its difference over a period, and the force is held for a period.
+        The position is sampled, damping uses the difference over a period, and the force is held for a period.
         """
         if self.stiffness_n_per_m == 0.0 and self.damping_n_s_per_m == 0.0:
             return np.zeros_like(s)
@@ -92,7 +93,7 @@ class Load:
 
 
 NO_LOAD: Final = Load()
-"""No surface, and an actuator without lag."""
+"""Load without a surface, and with an actuator without lag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +105,7 @@ class Ringing:
 
     @property
     def end_s(self) -> float:
-        """Duration of the signal in s: five time constants, as for every mode."""
+        """Duration of the signal: five time constants, as for every mode."""
         return _MODE_TIME_CONSTANTS / -self.pole.real
 
 
@@ -115,14 +116,14 @@ class Shape:
     mode: Ringing
     tail: Ringing | None
     peak: float
-    """Upper bound of the samples' magnitude, for any onset between two ticks."""
+    """Upper bound of the magnitude of the samples, for any onset between two ticks."""
     peak_time_s: float
     error: float
     """Displayed error in the band: RMS of (handle's acceleration - mode), divided by the RMS of the mode."""
     limited: bool
     """Whether the force was scaled down because its peak exceeded MAX_STRIKE_FORCE_RATIO."""
     kicks: tuple[tuple[float, float], ...] = ()
-    """Pair (c, d) for each of the first samples: c + d x is added to it if the onset is x periods before the first."""
+    """Pair (c, d) for each of the first samples: c + d x is added if the onset is x periods before the first sample."""
 
 
 def pole_of(mode: Mode) -> complex:
@@ -137,7 +138,7 @@ def hold_gain(pole: complex, period_s: float) -> complex:
 
 
 def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float, load: Load = NO_LOAD) -> complex:
-    """Return a mode's gain C/(m + m_h), with C of the module's equation, and the surface and actuator of `load`."""
+    """Return the gain C/(m + m_h) that compensates handle, hand and `load` at the pole of a mode (see the module)."""
     p = pole_of(mode)
     at = np.array([p], np.complex128)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -149,7 +150,7 @@ def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float, load: Load = NO_L
 
 
 class _Grid:
-    """Frequencies that sample the error band of one mode, with cached spectra of sampled decaying poles.
+    """Frequencies that sample the error band of one mode, with cached spectra of sampled decaying signals.
 
     `weight` is the square root of the quadrature weights, so the norm of a weighted spectrum is its RMS over the band.
     """
@@ -197,7 +198,7 @@ class _Grid:
         return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
 
     def count(self, pole: complex, onset: float) -> int:
-        """Return the number of ticks in five time constants of `pole`, which begin `onset` periods before the first."""
+        """Return the number of ticks in five time constants of `pole`; the first is `onset` periods after the onset."""
         first_s = onset * self.period_s
         return math.floor((_MODE_TIME_CONSTANTS / -pole.real - first_s) / self.period_s + 1e-9) + 1
 
@@ -220,12 +221,12 @@ class _Grid:
 
 @lru_cache(maxsize=4)
 def _grid(mode: Mode, rate_hz: float) -> _Grid:
-    """Return the grid of a mode, cached because a mode is designed for several loads in a row."""
+    """Return the grid of a mode, cached because shapes of a mode are computed for several loads in a row."""
     return _Grid(mode, rate_hz)
 
 
 class _Band:
-    """Acceleration of one device for a struck mode and possible tails, with the first tick as time 0.
+    """Acceleration of one device for a struck mode and tails to try, with the first tick as time 0.
 
     All weighted spectra lie in a space of few dimensions. Accelerations are vectors of coordinates in an orthonormal
     basis of that space, which preserves norms and least squares. Onsets differ only in target and number of ticks.
@@ -262,7 +263,7 @@ class _Band:
         self._base: _Floats = np.asarray(np.linalg.qr(stacked, mode="r"), np.float64)
 
     def target(self, onset: float = 0.0) -> _Floats:
-        """Return the acceleration of the mode for an onset `onset` periods before the first tick."""
+        """Return the wanted acceleration, that of the mode, for an onset `onset` periods before the first tick."""
         return np.asarray(self._base[:, self._targets + self._onsets.index(onset)], np.float64)
 
     def columns(self, poles: Sequence[complex], onset: float = 0.0) -> list[_Floats]:
@@ -279,7 +280,7 @@ class _Band:
         return found
 
     def error(self, columns: list[_Floats], gains: _Floats, onset: float = 0.0) -> float:
-        """Return the displayed error of a force with `gains`, real and imaginary part of each pole's gain in turn."""
+        """Return the displayed error of a force. `gains` are real and imaginary part of each pole's gain in turn."""
         return float(np.linalg.norm(gains @ np.array(columns) - self.target(onset))) / self._grid.target_norm
 
     def shape(self, poles: Sequence[complex], gains: _Floats) -> Shape:
@@ -296,7 +297,7 @@ class _Band:
         return Shape(mode, tail, peak, peak_time_s, self.error(self.columns(poles), gains), limited)
 
     def alone(self, gain: complex) -> Shape:
-        """Return the force's shape with the mode's pole alone, with this gain."""
+        """Return the shape of the force Im(gain exp(p t)) with the mode's pole p, in units of (m + m_h) A."""
         return self.shape([self._pole], np.array([gain.real, gain.imag]))
 
     def by_hold_gain(self) -> Shape:
@@ -306,12 +307,12 @@ class _Band:
         return self.alone(hold_gain(self._pole, self._grid.period_s) / lag)
 
     def by_pole_gain(self) -> Shape:
-        """Return the force's shape with the mode's pole alone, and the gain C/(m + m_h) of the module's equation."""
+        """Return the force's shape with the mode's pole alone, and the gain that compensates the device (pole_gain)."""
         mode, dynamics, load = self._made_for
         return self.alone(pole_gain(mode, dynamics, self._grid.period_s, load))
 
     def plain(self) -> Shape:
-        """Return the shape without a tail: by_hold_gain or by_pole_gain, whichever has the smaller displayed error."""
+        """Return the shape without a tail, from by_hold_gain or by_pole_gain, that has the smaller displayed error."""
         return min(self.by_hold_gain(), self.by_pole_gain(), key=lambda shape: shape.error)
 
     def with_tail(self, tail: complex) -> Shape:
@@ -359,7 +360,7 @@ def _root_mean_square(errors: list[float]) -> float:
 
 
 def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
-    """Return an upper bound of the magnitude of mode plus tail over all times, and a time that nearly reaches it.
+    """Return an upper bound of the magnitude of mode plus tail over all times, and the time of the largest sample.
 
     Between two samples at a distance h, a function exceeds the larger sample by at most h^2/8 times its curvature.
     """
@@ -371,8 +372,8 @@ def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
         sounds = ((each.gain * np.exp(each.pole * time)).imag for each in here)
         value = np.abs(sum(sounds, np.zeros(_PEAK_GRID_SAMPLES)))
         curvature = sum(abs(each.gain) * abs(each.pole) ** 2 for each in here)
-        least = float(value.max())
-        bound = min(least + (time[1] - time[0]) ** 2 / 8 * curvature, sum(abs(each.gain) for each in here))
+        sampled = float(value.max())
+        bound = min(sampled + (time[1] - time[0]) ** 2 / 8 * curvature, sum(abs(each.gain) for each in here))
         if bound > highest:
             highest, where = bound, float(time[value.argmax()])
         begin = end
@@ -395,10 +396,7 @@ def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, lo
 
 
 def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NO_LOAD) -> complex:
-    """Return the complex fraction of the mode that the handle's acceleration contains in the band; 1 is all of it.
-
-    The force of `shape` begins at a tick.
-    """
+    """Return the complex fraction, ideally 1, of a mode in the handle's acceleration, for a force of this shape."""
     grid = _grid(mode, rate_hz)
     struck = np.zeros_like(grid.target)
     for ringing in (shape.mode, shape.tail):
@@ -443,10 +441,10 @@ def shapes_of(
     load: Load,
     best_in_contact: bool,
 ) -> tuple[Shape, Shape]:
-    """Return the force's shapes for a strike without a surface and against that of `load`, with the same poles.
+    """Return two shapes of a strike's force, with the same poles: without a surface, and against that of `load`.
 
-    With `best_in_contact`, the poles are those with the smallest error against the surface, otherwise without it. C is
-    linear in the surface's stiffness, so the core interpolates linearly between the two shapes.
+    With `best_in_contact`, the poles are those with the smallest error against the surface, otherwise without it. Gains
+    are linear in the stiffness of the surface, so the core interpolates linearly between the two shapes.
     """
     if compensation == "mass" or load == load.free:
         chosen = shape_of(mode, dynamics, rate_hz, compensation, load)
@@ -474,7 +472,7 @@ def tuned_shapes(
 ) -> list[tuple[Shape, Shape]]:
     """Return both shapes of a strike (shapes_of) for each of `modes`, which change gradually from one to the next.
 
-    All shapes have the same pole of the tail, or none has a tail; none has kicks.
+    No shape has kicks. Either no shape has a tail, or all tails have the same pole.
     """
     if compensation == "mass":
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]

@@ -1,12 +1,12 @@
 """Contact sets: which surfaces of a scene can be touched at the same time, and how stable each such set is.
 
-The analysis reads the arrays of the compiled table. The region of a surface is where a probe can touch it. For a wall
-it is a strip below the surface, as deep as the force limit lets the probe go; for a membrane a strip around it; for a
-box or a disc all of its area. Two surfaces act together if their regions meet.
+The analysis reads the arrays of the compiled table. The region of a surface is the area in which a probe can touch it.
+For a wall this is a strip as deep as the force limit lets the probe go, for a membrane a strip around it, for a box or
+disc the entire shape. Two surfaces act together if their regions meet.
 
-A contact set is a pair that meets plus all surfaces that meet both, or a surface that meets none. All surfaces that a
-probe touches at once lie within one of the sets. If there are too many pairs to compare, all surfaces form one set. A
-set may therefore be too large, but never too small.
+A contact set is a pair that meets and all surfaces that meet both, or a surface that meets no other. All surfaces that
+a probe touches at once lie in one of the sets. If there are too many pairs to compare, all surfaces form one set. A set
+may therefore be too large, but never too small.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ MAX_COMPARED_PAIRS: Final = 500_000
 MAX_COMPARED_TRIPLES: Final = 2_000_000
 """Above this number of triples all surfaces form one contact set."""
 MAX_SEARCHED_SETS: Final = 400
-"""Number of sets, the worst first, among which distinct ones are searched."""
+"""Number of sets, the worst first, among which sets of different surfaces are searched for the report."""
 MAX_REPORTED_SETS: Final = 20
-"""Number of sets that are reported one by one."""
+"""Maximum number of sets that `hapticd check` reports one by one."""
 MAX_STABILITY_LINES: Final = 5
-"""Number of sets that are reported as warnings, a line each."""
+"""Maximum number of sets with a warning, one line each."""
 _BOX_MARGIN_M: Final = 1e-12
 """Margin of axis-aligned bounding boxes against rounding."""
 
 
 class _Regions(NamedTuple):
-    """Rectangles or circles in which each surface can be touched; arrays (n, 2), `round` and `reachable` (n,)."""
+    """Rectangles or circles in which surfaces can be touched; arrays (n, 2) in m, `round` and `reachable` (n,)."""
 
     center: Floats
     normal: Floats
@@ -138,7 +138,7 @@ def _overlapping_boxes(regions: _Regions, which: Ints) -> tuple[Ints, Ints] | No
 
 
 def _neighbours(count: int, a: Ints, b: Ints) -> tuple[Ints, Ints]:
-    """Return for each of `count` surfaces those that it meets: starts (count + 1,) and slots, concatenated."""
+    """Return the slots that each of `count` surfaces meets, concatenated, after their starts (count + 1,)."""
     ends = np.concatenate((a, b))
     order = np.lexsort((np.concatenate((b, a)), ends))
     starts = np.concatenate(([0], np.cumsum(np.bincount(ends, minlength=count))))
@@ -198,7 +198,7 @@ _SlotsOfSet: TypeAlias = Callable[[int], tuple[int, ...]]
 
 
 def _sets_of(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _SlotsOfSet]:
-    """Return the sums of the sets that the surfaces `which` form, (n, _SUM_COLUMNS), and a function for their slots."""
+    """Return the sums (n, _SUM_COLUMNS) of the sets of the surfaces `which`, and a function for the slots of a set."""
     reached = which[regions.reachable[which]]
     far = which[~regions.reachable[which]]
     if len(reached) == 0:
@@ -214,7 +214,7 @@ def _sets_of(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _Slo
 
 
 def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _SlotsOfSet] | None:
-    """Return the sets of pairs and of single surfaces as `_sets_of` does, or None above MAX_COMPARED_TRIPLES.
+    """Return the sets of pairs and of single surfaces as `_sets_of` does; None above MAX_COMPARED_TRIPLES.
 
     The set of a pair that meets contains the pair and all surfaces that meet both.
     """
@@ -247,7 +247,7 @@ def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _Sl
 
 
 class ContactSets:
-    """The contact sets of a scene, with margin and verdict of each."""
+    """The contact sets of a scene, with the stability of each."""
 
     def __init__(self, surfaces: SurfaceTable, loop: Loop) -> None:
         self._loop = loop
@@ -287,7 +287,7 @@ class ContactSets:
         self._noise_held = still[1] >= 1.0
         self._undamped_factor = np.minimum(*still)
         self.factor = np.minimum(self._passivity_factor, self._noise_factor)
-        """(n,): a set is safe up to this factor on all its stiffnesses."""
+        """(n,): largest factor on all stiffnesses of each set up to which the set is safe."""
         # At the passivity limit an oscillation may last for ever; friction that equals the noise still holds it.
         self.safe = (self._passivity_factor > 1.0) & (self._noise_factor >= 1.0)
         """(n,): whether each set is proved stable in any hand."""
@@ -300,7 +300,7 @@ class ContactSets:
         return self._members(number)
 
     def matrices(self, number: int) -> tuple[Floats, Floats]:
-        """Return the stiffness and damping matrices of a contact set, (2, 2) each, for spectral_radius."""
+        """Return the stiffness (N/m) and damping (N s/m) matrices of a contact set, (2, 2) each."""
         row = self._sums[number : number + 1]
         return _matrices(row[:, :3])[0], _matrices(row[:, 3:6])[0]
 
@@ -308,23 +308,23 @@ class ContactSets:
         """Return the factor by which the stiffness of a contact set may grow, for each condition of stability."""
         return {"passivity": float(self._passivity_factor[number]), "quantisation": float(self._noise_factor[number])}
 
-    def worst(self, most: int, *, unsafe: bool) -> list[tuple[tuple[int, ...], int]]:
-        """Return the surfaces' slots and the number of up to `most` distinct sets, those nearest to their limits first.
+    def worst(self, count: int, *, unsafe: bool) -> list[tuple[tuple[int, ...], int]]:
+        """Return slots and number of up to `count` sets of different surfaces, the sets nearest to their limits first.
 
-        The sets are sorted by margin without damping, margin, and stiffness. `unsafe` omits sets proved safe.
+        They are sorted by margin without damping, by margin, and by stiffness. `unsafe` omits sets proved safe.
         """
         order = np.lexsort((-self.stiffness_n_per_m, self.factor, self._undamped_factor))
         if unsafe:
             order = order[~self.safe[order]]
         found: dict[tuple[int, ...], int] = {}
         for number in order[:MAX_SEARCHED_SETS].tolist():
-            if len(found) == most:
+            if len(found) == count:
                 break
             found.setdefault(self._members(number), number)
         return list(found.items())
 
     def margins(self, chosen: Sequence[tuple[tuple[str, ...], int]]) -> list[Margin]:
-        """Return the margins of the chosen sets, each given by the names of its objects and its number."""
+        """Return the margins of chosen sets, given as the names of the objects and the number of each set."""
         if not chosen:
             return []
         numbers = [number for _, number in chosen]

@@ -1,4 +1,4 @@
-"""Properties of a configuration's device for rendering: how forces reach it, and the closed loop around it."""
+"""Properties of the configured device for rendering: the way of forces to the device, and the closed loop."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hapticd.config.dynamics import Dynamics
 from hapticd.rendering.stability import Loop, Timing, timing
 
 UNKNOWN_HANDLE: Final = "device.handle is not given; it needs mass_kg, damping_n_s_per_m and friction_n"
-"""The reason for which the stability of a real joystick is unknown."""
+"""Reason in a report why the stability of a real joystick is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +24,12 @@ class Output:
     max_speed_m_per_s: float
     undisplayable: Literal["mute", "lower"]
     link_rate_hz: float | None = None
-    """Forces that the link to the device carries each second; None: one each tick."""
+    """Forces per second that the link to the device carries; None: one at each tick."""
     compensation: Compensation = "off"
     dynamics: Dynamics | None = None
-    """Handle and hand for which strikes are compensated; None: unknown."""
+    """Mass, spring and damping of handle and hand, for which strikes are compensated; None: unknown."""
     rearm_m: float = 0.0
-    """Distance to which the probe must withdraw from a surface before it can tap it again."""
+    """Distance to which the probe must withdraw from a surface before the surface can be tapped again."""
     age_s: float = 0.0
     """Time from the measurement of a position until its force acts; 0 if unknown."""
     actuator: Actuator | None = None
@@ -42,9 +42,9 @@ class Output:
 
 
 def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
-    """Return the output properties of a configuration's device at a rate.
+    """Return the Output (properties for rendering) of the configured device at a servo rate.
 
-    `link_rate_hz` is the number of forces per second that the device takes; the simulated joystick has its own link.
+    `link_rate_hz` is the number of forces per second that the device accepts; the simulated joystick has its own link.
     """
     device = config.device
     if device.kind == "sim" and device.sim.link is not None:
@@ -72,7 +72,7 @@ def loop_of(
     force_step_n: float = 0.0,
     link_rate_hz: float | None = None,
 ) -> Loop | None:
-    """Return the closed loop of a configuration's device at a rate, or None if `device.handle` is needed and missing.
+    """Return the closed loop of the configured device at a servo rate; None if `device.handle` is needed and missing.
 
     Resolution, force step and link rate are those of a real device (0 and None: unknown); the simulated joystick has
     its own. A real link is assumed to delay positions by a frame and forces by another frame.
@@ -104,6 +104,6 @@ def loop_of(
 
 
 def _lagging(device: Device, timing: Timing) -> Timing:
-    """Return the timing with the actuator's lag added, if that is known."""
+    """Return a timing to which the lag of the device's actuator is added, if known."""
     known = device.lag
     return timing if known is None else timing.with_actuator(*known.moments())

@@ -1,4 +1,4 @@
-"""Upper bounds of a disc's radial and tangential stiffness, down to the depth of a firm press.
+"""Upper bounds of a disc's radial and tangential stiffness, down to the depth of a given pressing force.
 
 The proxy on the rim moves R/r as far as a probe at radius r, and friction and grooves fade out towards the centre
 (docs/adr/0027). With friction or shaped grooves, the second derivatives, in polar coordinates, of
@@ -22,9 +22,9 @@ from hapticd.base.core import Texture
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 FULL_RADIUS_FRACTION: Final = 0.5
-"""At r/R above this, friction and grooves act fully (csrc/shapes/hd_disc.c)."""
+"""From this r/R on, friction and grooves act fully (csrc/shapes/hd_disc.c)."""
 ZERO_RADIUS_FRACTION: Final = 0.2
-"""At r/R below this, friction and grooves do not act (csrc/shapes/hd_disc.c)."""
+"""Up to this r/R, friction and grooves do not act (csrc/shapes/hd_disc.c)."""
 _RADIAL_SAMPLES: Final = 65
 """Number of radii, from the deepest press to the rim, at which the bounds are evaluated."""
 
@@ -37,9 +37,9 @@ class RoundProperties(NamedTuple):
     tangent: Floats
     """Stiffness around the disc."""
     spring: Floats
-    """The part of `tangent` that is friction's spring."""
+    """The stiffness of friction's spring, which is included in `tangent`."""
     friction_per_m: Floats
-    """Change of the friction force per metre along the radius."""
+    """Change of the friction force per metre of depth."""
 
 
 def fading(part: Floats) -> tuple[Floats, Floats, Floats]:

@@ -1,9 +1,9 @@
 """Which vibrations of a scene a device and rate can display, and how the others are displayed.
 
 A vibration above 0.4 of the rate is muted or lowered in frequency, as `displayed_mode`, `displayed_wave_rate` and
-`displayed_pair` decide. Three functions report: `undisplayable` the vibrations that are muted or lowered; `rate_faults`
-those that are refused; `warnings` those that are displayed with a deviation. A report gives the place of a vibration in
-the configuration file: `materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
+`displayed_pair` decide. `undisplayable` lists the vibrations that are muted or lowered, `rate_faults` those that are
+refused, `warnings` those that are displayed with a deviation. Faults and warnings give a path in the configuration:
+`materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
 """
 
 import math
@@ -31,13 +31,13 @@ from hapticd.rendering.undisplayable_text import Undisplayable, Use
 DISPLAYABLE_RATE_FRACTION: Final = 0.4
 """Highest displayable frequency, as a fraction of the rate of servo or link, whichever is lower."""
 DEFAULT_SURFACE_N_PER_M: Final = 800.0
-"""Surface stiffness for which modes without a surface are compensated, typical of the shipped materials."""
+"""Stiffness for which modes without a surface are compensated: a typical one of the shipped materials."""
 MIN_NORMAL_STIFFNESS_PART: Final = 0.5
-"""If at least this fraction of the surface's stiffness acts along a strike, compensation is for contact with it."""
+"""From this fraction of the stiffness along a strike on, compensation is designed for contact with the surface."""
 FAST_STROKE_M_PER_S: Final = 0.5
-"""Speed of a fast stroke, at which a groove's shape should last at least two ticks."""
+"""Speed of a fast stroke, at which the shape of a groove should last at least two ticks."""
 MAX_POWER_LOSS: Final = 0.01
-"""Largest part of a texture's power that may be lost without a warning."""
+"""Largest fraction of a texture's power, or a waveform's energy, that may be lost without a warning."""
 MAX_SPECTRUM_ERROR_DB: Final = 3.0
 """Largest error of a texture's spectrum without a warning."""
 
@@ -57,7 +57,7 @@ def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
 
 
 def strike_error(mode: Mode, output: Output) -> float | None:
-    """Return the displayed error of a strike at a tick: of the handle's acceleration, relative to the mode.
+    """Return the displayed error of a strike at a tick: that of the handle's acceleration relative to the mode.
 
     Returns None if the mode is muted or lowered, or if mass and damping of the handle are unknown.
     """
@@ -80,11 +80,11 @@ class Touched:
     stiffness_n_per_m: float = 0.0
     damping_n_s_per_m: float = 0.0
     strike_fraction: float = 1.0
-    """Fraction of stiffness and damping that acts along the strike: (n . d)^2 with the normal n and the direction d."""
+    """Fraction of the stiffness along the strike: (n . d)^2, with the normal n and the direction d of the strike."""
 
     @property
     def design_n_per_m(self) -> float:
-        """The stiffness for which a mode is compensated: the surface's, or DEFAULT_SURFACE_N_PER_M without one."""
+        """Stiffness for which a mode is compensated: that of the surface; DEFAULT_SURFACE_N_PER_M without a surface."""
         return self.stiffness_n_per_m or DEFAULT_SURFACE_N_PER_M
 
     def load(self, output: Output) -> Load:
@@ -102,17 +102,17 @@ NO_SURFACE: Final = Touched()
 
 
 def touched_by(material: Material, use: Use) -> Touched:
-    """Return the surface that a strike of this material acts against: its own for a tap, none for all others."""
+    """Return the surface that a strike acts against: the material's for a tap, NO_SURFACE for other strikes."""
     if use not in ("tap", "second") or material.tap is None:
         return NO_SURFACE
     return Touched(material.stiffness_n_per_m, material.damping_n_s_per_m, material.tap.aim[0] ** 2)
 
 
 def struck_shapes(mode: Mode, output: Output, touched: Touched = NO_SURFACE) -> tuple[Shape, Shape] | None:
-    """Return the force's shapes for a strike of a displayable mode: without a surface, and against `touched`.
+    """Return two shapes of the force of a displayable mode: without a surface, and against `touched`.
 
-    The second shape is for a strike along the normal, with DEFAULT_SURFACE_N_PER_M if there is no surface. Returns
-    None without compensation.
+    The second shape is for a strike along the normal; if `touched` is NO_SURFACE, against DEFAULT_SURFACE_N_PER_M.
+    Returns None without compensation.
     """
     if output.compensation == "off":
         return None
@@ -127,7 +127,7 @@ def waveform_of(material: Material) -> Waveform | None:
 
 
 def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
-    """Return the samples per second at which a waveform is played, or None if it is muted.
+    """Return the sampling rate (Hz) with which a waveform is played, or None if the waveform is muted.
 
     The waveform keeps its rate if half of its energy lies below 0.4 of the rate of servo or link, whichever is lower.
     Otherwise it is muted, or slowed down until that holds.
@@ -139,10 +139,10 @@ def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
 
 
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
-    """Return the peak and mean frequency (Hz) for which the texture's filter is designed, or None if it is muted.
+    """Return the peak and mean frequency (Hz) for which the filter of a texture is designed; None if it is muted.
 
     A texture with its peak above 0.4 of the rate is muted, or peak and mean are lowered by the factor that brings the
-    peak there.
+    peak to 0.4 of the rate.
     """
     highest = DISPLAYABLE_RATE_FRACTION * output.carried_hz
     if texture.peak_hz <= highest:
@@ -164,7 +164,7 @@ def modes_of(material: Material) -> list[tuple[Use, Mode]]:
 
 
 def mode_path(use: Use) -> Path:
-    """Return the path of a mode within its material."""
+    """Return the keys of a mode within its material, given its use."""
     keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
     return keys.get(use, (use,))
 
@@ -191,7 +191,7 @@ def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Und
 
 
 def rate_faults(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
-    """Return a fault for each frequency of the materials in use that is not below half the rate."""
+    """Return a fault for each frequency, of the objects' materials, that is not below half the servo rate."""
     return [
         fault
         for name, material in materials_in(objects, materials).items()
@@ -200,7 +200,7 @@ def rate_faults(objects: Mapping[str, SceneObject], materials: Mapping[str, Mate
 
 
 def material_rate_faults(name: str, material: Material, output: Output) -> list[Problem]:
-    """Return a fault for each frequency of one material that is not below half the rate."""
+    """Return a fault for each frequency of one material that is not below half the servo rate."""
     texture = material.texture
     if not isinstance(texture, Stochastic):
         return []
@@ -296,11 +296,11 @@ def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Pr
             f"max_speed_m_per_s; up to {held_m_per_s:g} m/s it passes at most one groove in a {one}"
         )
         yield _texture_problem(name, "spacing_m", problem)
-    least_m = 2 * FAST_STROKE_M_PER_S / output.carried_hz
-    if texture.display != "vibration" and texture.width_m < least_m * (1 - 1e-9):
+    min_width_m = 2 * FAST_STROKE_M_PER_S / output.carried_hz
+    if texture.display != "vibration" and texture.width_m < min_width_m * (1 - 1e-9):
         problem = (
             f"{texture.width_m:g} is passed in less than two {two} at {FAST_STROKE_M_PER_S:g} m/s, "
-            f"too fast for its shape to be displayed; must be at least {least_m:g}"
+            f"too fast for its shape to be displayed; must be at least {min_width_m:g}"
         )
         yield _texture_problem(name, "width_m", problem)
 
@@ -331,10 +331,10 @@ def _above_problem(above: float, output: Output) -> str:
 
 @lru_cache(maxsize=8)
 def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> list[list[float]]:
-    """Return what each model loses at a rate, as three lists with an entry for each model.
+    """Return three lists of the losses at a rate, with an entry for each model of a texture.
 
-    The lists hold the fraction of power cut off, the error of the spectrum in dB, and the fraction of power above 0.4
-    of the link's rate, if that is the lower rate.
+    The losses are the fraction of power cut off, the error of the spectrum in dB, and the fraction of power above 0.4
+    of the link's rate (0 if the link is not slower than the servo).
     """
     shown = [resampled(reflection_of(model.coefficients), texture.rate_hz, rate_hz) for model in texture.models]
     limit_hz = DISPLAYABLE_RATE_FRACTION * carried_hz if carried_hz < rate_hz else math.inf
@@ -343,7 +343,7 @@ def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> list[
 
 
 def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output) -> Iterator[Problem]:
-    """Yield a warning for each kind of loss, about the model with the largest loss (of equals the first)."""
+    """Yield a warning for each kind of loss, about the model with the largest loss."""
     losses = _losses(texture, output.rate_hz, output.carried_hz)
     loss, error_db, above = map(max, losses)
     more = "" if len(texture.models) == 1 else ", more than any other model"
@@ -362,13 +362,13 @@ def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output)
 
 
 def patch_warnings(wall: Wall, root: Path) -> list[Problem]:
-    """Return the warnings of a wall's patches, up to MAX_FAULTS; their places begin with `root`, the wall's own."""
+    """Return up to MAX_FAULTS warnings about the patches of a wall, whose path is `root`."""
     found = islice(_narrow_patches(wall), MAX_FAULTS)
     return [Problem(path_text((*root, "patches", index)), problem) for index, problem in found]
 
 
 def _narrow_patches(wall: Wall) -> Iterator[tuple[int, str]]:
-    """Yield index and problem of each patch that is narrower than the ramp, or as near to another one."""
+    """Yield index and problem of each patch that is narrower than the ramp, or nearer than the ramp to another one."""
     patches, ramp_m = wall.patches, wall.patch_ramp_m
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None

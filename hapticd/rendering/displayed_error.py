@@ -4,9 +4,9 @@ The device is linear (hapticd.config.dynamics): (m + m_h) x'' + (b + b_h) x' + k
 the time between two samples: of a device from exact differences of its velocity, of a mode from the integral of its
 closed form.
 
-The displayed error is the RMS of the difference from the target, divided by the RMS of the target, both limited to a
-band, 30 Hz to 0.4 of the rate. Both signals begin at the onset. A delay of link or report shifts the force without
-changing its shape, so a measurement takes the time at which the force begins at the device as the onset.
+The displayed error is the RMS of the difference from the target, divided by the RMS of the target, both limited to the
+error band, 30 Hz to 0.4 of the rate. Both signals begin at the onset. A delay of link or report shifts the force
+without changing its shape, so the onset of a measurement is the time at which the force begins at the device.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from hapticd.rendering.compensation import (
 Floats = npt.NDArray[np.float64]
 
 PARTS_PER_PERIOD: Final = 16
-"""Parts of a period in which accelerations are computed, to resolve the motion under a held force."""
+"""Accelerations are computed for this number of parts of a period, to resolve the motion under a held force."""
 _SETTLING_TIME_S: Final = 0.05
-"""Time for which the handle is observed after a waveform has ended."""
+"""Time after the end of a waveform for which the handle's acceleration is still compared."""
 
 
 def handle_acceleration(
     force_n: npt.ArrayLike, dynamics: Dynamics, rate_hz: float, finer: int = PARTS_PER_PERIOD
 ) -> Floats:
-    """Return the acceleration of a handle, at rest before, for forces (n,) held for 1/rate_hz each.
+    """Return the acceleration of a handle, first at rest, for forces (n,) that are held for 1/rate_hz each.
 
-    The result is (n * finer,), m/s^2: means over each of `finer` equal parts of a period.
+    The result (n * finer,) in m/s^2 holds means over `finer` equal parts of each period.
     """
     forces = np.asarray(force_n, dtype=np.float64)
     step, step_push = held_motion(dynamics, 1.0 / rate_hz)
@@ -65,7 +65,7 @@ def handle_acceleration(
 def waveform(mode: Mode, count: int, sample_rate_hz: float, since_s: float = 0.0) -> Floats:
     """Return means of a mode's signal exp(-B t) sin(w t) over `count` intervals of 1/sample_rate_hz, (count,).
 
-    The first interval begins at t = since_s. The signal is 0 before t = 0.
+    The first interval begins at t = `since_s`. The signal is 0 before t = 0.
     """
     edges = np.maximum(since_s + np.arange(count + 1) / sample_rate_hz, 0.0)
     p = pole_of(mode)
@@ -76,7 +76,7 @@ def waveform(mode: Mode, count: int, sample_rate_hz: float, since_s: float = 0.0
 def band_lines(
     signal: npt.ArrayLike, sample_rate_hz: float, low_hz: float, high_hz: float
 ) -> npt.NDArray[np.complex128]:
-    """Return the spectral lines of a signal (n,) from low_hz to high_hz, (lines,).
+    """Return the spectral lines of a signal (n,) from `low_hz` to `high_hz`, (lines,).
 
     The signal is padded with zeros to at least twice its length, and until the lines have a distance of at most 1 Hz.
     """
@@ -94,17 +94,16 @@ def band_error(
     low_hz: float = ERROR_BAND_LOW_HZ,
     high_hz: float | None = None,
 ) -> float:
-    """Return RMS(measured - reference) / RMS(reference), both limited to low_hz to high_hz.
+    """Return RMS(measured - reference) / RMS(reference), both limited to the band from `low_hz` to `high_hz`.
 
     Both signals are (n,), in the same unit, begin at the onset, and are 0 before and after. `high_hz` is 0.4 of the
-    sample rate by default. The band is cut in the spectrum: by Parseval's theorem the squares of its lines (band_lines)
-    sum up to the energy.
+    sample rate by default. By Parseval's theorem the squares of spectral lines in the band sum up to its energy.
 
     Raises ValueError for arrays of other shapes, a band without lines, or a reference without energy in the band.
     """
     one, other = (np.asarray(each, dtype=np.float64) for each in (measured, reference))
     if one.ndim != 1 or one.shape != other.shape or not len(one):
-        raise ValueError(f"measured and reference must have one shape (n,), have {one.shape} and {other.shape}")
+        raise ValueError(f"measured and reference must have equal shapes (n,), have {one.shape} and {other.shape}")
     high = ERROR_BAND_RATE_FRACTION * sample_rate_hz if high_hz is None else high_hz
     wanted = float(np.linalg.norm(band_lines(other, sample_rate_hz, low_hz, high)))
     if not wanted > 0:
@@ -115,8 +114,8 @@ def band_error(
 def waveform_error(waveform: Waveform, dynamics: Dynamics, rate_hz: float, effective_mass_kg: float) -> float:
     """Return the displayed error of a tap that plays a waveform and begins at a tick.
 
-    It is the RMS difference of the handle's acceleration from the waveform, divided by the RMS of the waveform, both in
-    the error band. The force is neither compensated nor delayed by the actuator.
+    The RMS difference of the handle's acceleration from the waveform is divided by the RMS of the waveform, both in the
+    error band. The force is neither compensated nor delayed by the actuator.
     """
     ticks = math.ceil((waveform.length_s + _SETTLING_TIME_S) * rate_hz)
     force = effective_mass_kg * waveform.curve.at(np.arange(ticks) / rate_hz)
@@ -141,10 +140,9 @@ def displayed_error(
 ) -> float:
     """Return the error of the handle's acceleration, relative to the mode, for a strike at a tick; 0.1 is 10 %.
 
-    The frequency of `mode` is at most 0.4 of the rate (displayability.displayed_mode). `rate_hz` is how often the
-    force changes at the device: the servo's rate, or the link's if that is lower. `effective_mass_kg` is used if
-    compensation is off; its default is the mass of handle and hand. `actuator` lags all forces. The spectra are closed
-    forms (compensation.py).
+    `mode` is displayable: its frequency is at most 0.4 of `rate_hz`, the rate of the servo or of a slower link.
+    `effective_mass_kg`, by default the mass of handle and hand, is used if compensation is off. `actuator` delays all
+    forces by its lag. The spectra are closed forms (compensation.py).
     """
     load = Load(actuator=actuator)
     if compensation != "off":

@@ -2,8 +2,7 @@
 
 A strike acts along the motion and grows with speed and force, so each groove adds energy. If the hand dissipates less,
 it keeps moving from groove to groove. Noise grows with speed, too: with a large gain it moves the hand, whose motion
-sustains the noise. The check runs the servo's own tick with the simulated joystick, which takes a few milliseconds a
-run.
+sustains the noise. The check runs the servo's tick with the simulated joystick; a run takes a few milliseconds.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ from hapticd.rendering.offline import Run, simulate_run
 from hapticd.rendering.stability import Loop
 
 CHECKED_SPEEDS_M_PER_S: Final = (0.05, 0.1, 0.2, 0.5)
-"""Speeds of the strokes that are simulated."""
+"""Speeds of the simulated strokes: slow to fast exploration."""
 CHECKED_FORCES_N: Final = (0.3, 1.0)
-"""Forces with which the hand presses in these strokes."""
+"""Forces with which the hand presses in the simulated strokes: a light and a firm touch."""
 CHECKED_DAMPING_PART: Final = 0.8
-"""Fraction of the hand's damping in the simulation: a margin, as other motions may drive the hand more."""
+"""Fraction of the hand's damping that is simulated. The rest is a margin, as other motions may drive the hand more."""
 _STROKE_LENGTH_M: Final = 0.02
-"""Length of a stroke."""
+"""Length of a simulated stroke, over several grooves of usual spacing."""
 _MAX_PRESS_DEPTH_M: Final = 0.4
-"""Largest depth of the hand's reference; a softer surface is pressed with less force."""
+"""Largest depth of the hand's reference below the surface; a softer surface is pressed with less force."""
 _MAX_SETTLING_S: Final = 20.0
 """Longest time that the hand gets to settle after a stroke."""
 _OBSERVED_END_S: Final = 1.0
-"""Time at the end of a run in which strikes and noise are counted."""
+"""Time at the end of a run in which strikes are counted and noise is measured."""
 _MAX_RESIDUAL_NOISE_PART: Final = 0.05
 """Noise counts as sustained by the hand if its force at the end exceeds this fraction of its largest value."""
 
@@ -43,7 +42,7 @@ _MAX_RESIDUAL_NOISE_PART: Final = 0.05
 def driven_hand_warnings(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:
     """Return a warning for each of the materials whose texture drives the hand of `loop` in typical strokes.
 
-    Returns no warnings if the loop has no hand, as nothing presses then, or if vibrations are off.
+    The list is empty if the loop has no hand, as nothing presses then, or if vibrations are off.
     """
     hand = loop.dynamics
     if hand.grip_stiffness_n_per_m <= 0.0 or not config.scene.display.vibration:
@@ -54,19 +53,19 @@ def driven_hand_warnings(config: Config, loop: Loop, shown: Mapping[str, Materia
             _run(config, loop, name, speed, press) for speed in CHECKED_SPEEDS_M_PER_S for press in CHECKED_FORCES_N
         )
         if isinstance(shown[name].texture, Grooves):
-            most = max(map(_late_strikes, runs))
-            drives = f"strikes drive this hand over the grooves after it has stopped, {most} strikes a second"
+            count = max(map(_late_strikes, runs))
+            drives = f"strikes drive this hand over the grooves after it has stopped, {count} strikes a second"
         else:
-            most = sum(map(_is_noise_sustained, runs))
+            count = sum(map(_is_noise_sustained, runs))
             drives = "noise drives this hand along the surface after it has stopped"
-        if most > 0:
+        if count > 0:
             less = "a firmer grip (more damping), dry friction, or a lower gain of the texture stops it"
             found.append(Problem(f"materials.{name}.texture", f"its {drives}; {less}"))
     return found
 
 
 def materials_with_vibration(shown: Mapping[str, Material]) -> Iterable[str]:
-    """Yield the names of the materials that have noise, or grooves displayed as strikes."""
+    """Yield the names of the materials that have noise, or grooves that are displayed as strikes."""
     for name, material in shown.items():
         texture = material.texture
         if texture is not None and (not isinstance(texture, Grooves) or texture.display == "vibration"):
@@ -99,7 +98,7 @@ def _run(config: Config, loop: Loop, name: str, speed: float, press: float) -> R
 
 
 def _floor_config(config: Config, loop: Loop, name: str, workspace_m: float) -> Config:
-    """Return a configuration with the material as a floor, and the device and hand of the loop."""
+    """Return a configuration with a floor of the named material, and the device and hand of `loop`."""
     hand = loop.dynamics
     sim = Sim(
         handle_mass_kg=hand.handle_mass_kg,

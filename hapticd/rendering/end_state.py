@@ -1,8 +1,7 @@
 """How a simulated motion ends: at rest, or in a lasting cycle.
 
-A falling energy proves nothing, as the energy of a motion that approaches a limit cycle falls, too. So the energy is
-followed in windows of half a second until the handle rests, or until the energy no longer changes over hundreds of
-windows.
+The energy of a motion that approaches a limit cycle falls, too, so a falling energy does not prove rest. The energy is
+followed in windows of half a second until the handle rests, or until the energy has stopped changing.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ ENERGY_WINDOW_S: Final = 0.5
 REST_SPEED_M_PER_S: Final = 1e-7
 """A handle is at rest if its speed stays within this of its mean over two windows and does not grow."""
 FIRST_COMPARISON_WINDOWS: Final = 64
-"""Energies are compared after this number of windows, and each time that their number has doubled."""
+"""Energies are compared after this number of windows, and whenever the number of windows has doubled."""
 MAX_CYCLE_ENERGY_DEVIATION: Final = 0.01
-"""In a regular cycle the energy of no window deviates from the mean by more than this fraction."""
+"""In a regular cycle, the energies of all windows deviate from their mean by at most this fraction."""
 MIN_ENERGY_TREND: Final = 0.1
-"""The energy of an irregular motion grows or falls if it changes by this fraction in the time's last quarter."""
+"""An irregular motion grows or falls if its energy changes by more than this fraction in the last quarter."""
 WAIT_AFTER_MOTION_S: Final = 0.2
 """Time from the hand's last waypoint to the beginning of the analysis."""
 
@@ -112,7 +111,7 @@ def end_of(
     longest_s: float = 640.0,
     interpolation: Literal["linear", "minimum_jerk"] = "linear",
 ) -> EndState:
-    """Return how the simulated handle's motion ends, by end_state, after the hand's reference has come to rest."""
+    """Return how the motion of the simulated handle ends (see end_state) after the hand's reference has stopped."""
     simulation = Simulation(CompiledScene(config), waypoints, interpolation)
     simulation.advance(waypoints[-1][0] + WAIT_AFTER_MOTION_S)
     return end_state(simulation.advance, longest_s)

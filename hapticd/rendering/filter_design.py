@@ -1,4 +1,4 @@
-"""Filters for coloured noise: their spectra, and the filter that has a given peak and mean frequency.
+"""Filters for coloured noise: their spectra, and the design of a filter with a given peak and mean frequency.
 
 A filter is a normalised lattice with reflection coefficients k_1 .. k_p and, where it has zeros, ladder taps
 v_0 .. v_p (Gray and Markel, "A normalized digital filter structure", IEEE Trans. ASSP, 1975). The conventions:
@@ -30,24 +30,21 @@ from hapticd.base.lattice import Reflection, realised
 Array: TypeAlias = npt.NDArray[np.float64]
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
-MAX_ORDER: Final = 32
-"""Highest order of a noise filter, HD_NOISE_ORDER."""
-
 MIN_BANDWIDTH_HZ: Final = 20.0
 """Smallest half-power bandwidth of a designed peak: the RMS of a minute of such noise scatters by 0.8 %."""
 
 _EDGE_RATE_FRACTION: Final = 5e-4
-"""Peaks nearer than this fraction of the rate to 0 or to half the rate are moved to it."""
+"""Peaks are at least this fraction of the rate away from 0 and from half the rate; nearer peaks are moved."""
 _MIN_HALF_BANDWIDTH_RAD: Final = 2e-4
 """Half the smallest half-power bandwidth, in radians; it keeps pole radii at 0.9999 and below."""
 _END_DIP_RATIO: Final = 0.25
-"""The density at an end of the spectrum is at most 1/(1 + this) of the peak's: the peak is 1 dB above the end."""
+"""At an end of the spectrum, the density is at most 1/(1 + _END_DIP_RATIO) of the peak's, about 1 dB lower."""
 
 _Rule: TypeAlias = tuple[Array, Array]
 _FINE_RULE: Final[_Rule] = np.polynomial.legendre.leggauss(12)
-"""Gauss-Legendre nodes and weights of a panel."""
+"""Gauss-Legendre nodes and weights of a panel (an interval of the integration)."""
 COARSE_RULE: Final[_Rule] = np.polynomial.legendre.leggauss(6)
-"""Nodes and weights for fits: integrals of a spectrum whose poles are a panel's length away are off by 3e-8."""
+"""Gauss-Legendre nodes and weights for fits. Integrals are accurate to 3e-8 if poles are a panel's length away."""
 
 
 # ---- Filters and their spectra -------------------------------------------------------------------------------
@@ -68,7 +65,7 @@ class Filter:
     mean_hz: float
 
     def met(self, peak_hz: float, mean_hz: float, within: float = 0.03) -> bool:
-        """Return whether the filter has this peak and this mean, each to within the fraction `within`."""
+        """Return whether the filter has this peak and this mean, each to within the relative error `within`."""
         return abs(self.peak_hz - peak_hz) <= within * peak_hz and abs(self.mean_hz - mean_hz) <= within * mean_hz
 
 
@@ -77,17 +74,14 @@ Spectral: TypeAlias = Filter | tuple[Sequence[float], Sequence[float] | None]
 
 
 def power_spectrum(source: Spectral, frequency_hz: npt.ArrayLike, rate_hz: float) -> Array:
-    """Return the analytic one-sided density, 1/Hz, at `frequency_hz` (any shape).
-
-    Its integral from 0 to rate/2 is 1.
-    """
+    """Return the one-sided power density (1/Hz) at `frequency_hz`, any shape; its integral from 0 to rate/2 is 1."""
     reflection, taps = (source.reflection, source.taps) if isinstance(source, Filter) else source
     angle = 2 * np.pi / rate_hz * np.asarray(frequency_hz, dtype=np.float64)
     return power_at(reflection, taps, angle) * (2 / rate_hz)
 
 
 def power_above(source: Spectral, frequency_hz: float, rate_hz: float) -> float:
-    """Return the fraction of the power above a frequency: the integral of power_spectrum from there to rate/2."""
+    """Return the fraction of the power above a frequency: the integral of power_spectrum up to rate/2."""
     reflection, taps = (source.reflection, source.taps) if isinstance(source, Filter) else source
     if frequency_hz >= rate_hz / 2:
         return 0.0
@@ -118,9 +112,9 @@ def _mesh(
 ) -> tuple[Array, Array]:
     """Return nodes and weights that integrate a rational spectrum over the angles 0 .. limit.
 
-    The poles are given as (angle, distance from the circle). The rule is composite Gauss-Legendre. Towards each pole
-    the panels halve in length down to the pole's distance, so that none is longer than about its own distance to any
-    pole, and the rule converges fast on each.
+    The poles are given as (angle, distance from the unit circle). The rule is composite Gauss-Legendre. Towards each
+    pole the panels halve in length down to the pole's distance. A panel is at most about as long as its distance to any
+    pole, so the rule converges fast.
     """
     breaks: list[Array] = [np.linspace(0.0, limit, panels + 1)]
     for angle, distance in poles:
@@ -139,9 +133,9 @@ def panel_nodes(edges: Array, rule: _Rule) -> tuple[Array, Array]:
 
 
 def poles_of(reflection: Sequence[float]) -> ComplexArray:
-    """Return the poles of a lattice filter: the eigenvalues of the matrix of one step without input.
+    """Return the poles of a lattice filter, as eigenvalues of the matrix of one step without input.
 
-    The eigenvalues are well-conditioned even if the roots of A are not.
+    These eigenvalues are well-conditioned even if the roots of the polynomial A are not.
     """
     state = np.eye(len(reflection))
     after = np.zeros_like(state)
@@ -179,7 +173,7 @@ def _peak_and_mean(reflection: Reflection, taps: tuple[float, ...] | None) -> tu
 
 
 def peak_of(reflection: Reflection, rate_hz: float) -> float:
-    """Return the frequency at which an all-pole model's spectrum is highest, Hz."""
+    """Return the frequency (Hz) at which the spectrum of an all-pole model is highest."""
     return _peak_and_mean(reflection, None)[0] * rate_hz / (2 * math.pi)
 
 
@@ -220,9 +214,9 @@ def stochastic_filter(peak_hz: float, mean_hz: float, rate_hz: float) -> Filter:
 
 @dataclass(frozen=True, slots=True)
 class _Family:
-    """Spectra of one shape, with the size of the peak as the free parameter.
+    """Spectra of one shape (see stochastic_filter), with the size of the peak as the free parameter.
 
-    The size is the distance in y at which the power is halved, c = 1/size^2. Over a floor the size of the peak is
+    The size is the distance in y at which the power is halved, c = 1/size^2. Over a floor of white noise the size is
     fixed, and the free parameter is the ratio of the floor's density to the peak's.
     """
 
@@ -244,7 +238,7 @@ class _Family:
         return 2 * math.sin(self.peak / 2) ** 2
 
     def tilt(self, size: Array) -> Array:
-        """Return `tilt` of the pole M = 1 + tilt t that puts the density at angle 0 1 dB below the peak; 0 without."""
+        """Return `tilt` of the pole M = 1 + tilt t that puts the density at angle 0 1 dB below the peak; 0: no pole."""
         if not self.pole:
             return np.zeros_like(size)
         end = _END_DIP_RATIO * 2 / (2 - self.y_peak) * (size / self.y_peak) ** 2
@@ -276,10 +270,7 @@ class _Family:
 
 
 def _inside(y: complex) -> complex:
-    """Return the root z of (1 - z)(1 - 1/z) = 2y within the unit circle, the upper root of a pair.
-
-    1 - z is accurate even if it is small.
-    """
+    """Return the upper root z of (1 - z)(1 - 1/z) = 2y in the unit circle; 1 - z is accurate even if small."""
     root = np.sqrt(y * (y - 2))
     z = 1 - min(y + root, y - root, key=lambda distance: abs(1 - distance))
     return complex(z.real, abs(z.imag))
@@ -293,13 +284,13 @@ def _design(peak: float, mean: float, narrowest: float) -> tuple[Reflection, tup
     near = min(peak, math.pi - peak)
 
     def size_of(half_bandwidth: float) -> float:
-        """Return |y - y_peak| at half a bandwidth from the peak (cos a - cos b as a product)."""
+        """Return |y - y_peak| at an angle of `half_bandwidth` from the peak, as a product without cancellation."""
         return 2 * math.sin(half_bandwidth / 2) * math.sin(near + half_bandwidth / 2)
 
-    least = max(min(narrowest, near / 8), _MIN_HALF_BANDWIDTH_RAD)
-    sharpest, preferred = size_of(least), size_of(near / 4)
+    narrowest = max(min(narrowest, near / 8), _MIN_HALF_BANDWIDTH_RAD)
+    sharpest, preferred = size_of(narrowest), size_of(near / 4)
     meshes = {
-        mirrored: (at, aim, *_mesh([(0.0, least), (at, least), (math.pi, least)]))
+        mirrored: (at, aim, *_mesh([(0.0, narrowest), (at, narrowest), (math.pi, narrowest)]))
         for mirrored, at, aim in ((False, peak, mean), (True, math.pi - peak, math.pi - mean))
     }
     closest: tuple[float, _Family, float, bool] | None = None
@@ -340,7 +331,7 @@ def _refined(family: _Family, aim: float, low: float, high: float) -> float:
         error = family.mean(sizes) - aim
         crossings = np.flatnonzero(error[:-1] * error[1:] < 0)
         if not len(crossings):
-            # The very ends, or a mean that does not change at all.
+            # A root at an end of the interval, or a mean that does not change.
             return float(sizes[np.argmin(np.abs(error))])
         first = crossings[0]
         low, high = float(sizes[first]), float(sizes[first + 1])
@@ -351,7 +342,7 @@ def _refined(family: _Family, aim: float, low: float, high: float) -> float:
 def _mirror(
     design: tuple[Reflection, tuple[float, ...] | None], mirrored: bool
 ) -> tuple[Reflection, tuple[float, ...] | None]:
-    """Return the filter with z replaced by -z if `mirrored`: its spectrum is reversed, with 0 and rate/2 exchanged."""
+    """Return the filter, with z replaced by -z if `mirrored`: the spectrum then has 0 and rate/2 exchanged."""
     if not mirrored:
         return design
     reflection, taps = design

@@ -1,4 +1,4 @@
-"""The simulated joystick and its operator as C objects, made from a validated configuration, and data for gestures."""
+"""The simulated joystick and its operator as C objects, from a validated configuration, and targets of gestures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hapticd.config.scene import SURFACE_MODELS, Box, Disc, Membrane, SceneObjec
 
 
 def new_sim(sim: Sim, rate_hz: float) -> CData:
-    """Return a `struct hd_sim *` at rest, freed with the last reference to it.
+    """Return a simulated joystick at rest, a `struct hd_sim *`; freed when unused.
 
     Raises HapticdError if the parameters contradict each other.
     """
@@ -29,10 +29,7 @@ def new_sim(sim: Sim, rate_hz: float) -> CData:
 
 
 def set_rate(joystick: CData, sim: Sim, rate_hz: float) -> None:
-    """Continue a `struct hd_sim *` at another rate.
-
-    Raises HapticdError if the joystick cannot be simulated at that rate.
-    """
+    """Continue a simulated joystick at another rate. Raises HapticdError if it cannot be simulated at this rate."""
     if lib.hd_sim_set_period(joystick, _sim_config(sim), 1.0 / rate_hz) != Status.OK:
         raise HapticdError(f"device.sim: {invalid_reason()}")
 
@@ -67,7 +64,7 @@ def _sim_config(sim: Sim) -> CData:
 
 
 def new_operator(waypoints: Sequence[Sequence[float]], interpolation: Literal["linear", "minimum_jerk"]) -> CData:
-    """Return a `struct hd_operator *` over waypoints [t_s, x_m, y_m], freed with the last reference to it.
+    """Return the path of the hand, a `struct hd_operator *`, through waypoints [t_s, x_m, y_m]; freed when unused.
 
     Raises HapticdError for waypoints that are not finite or not in order.
     """
@@ -80,7 +77,7 @@ def new_operator(waypoints: Sequence[Sequence[float]], interpolation: Literal["l
 
 
 def grip_of(sim: Sim) -> Grip:
-    """Return the hand and the mass that it moves, as gestures need them."""
+    """Return the grip for gestures: the simulated hand, with the mass that it moves."""
     return Grip(
         stiffness_n_per_m=sim.hand.stiffness_n_per_m,
         damping_n_s_per_m=sim.hand.damping_n_s_per_m + sim.handle_damping_n_s_per_m,
@@ -103,9 +100,9 @@ def waypoints_of(operator: Operator, config: Config) -> npt.NDArray[np.float64]:
 
 
 def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Target | None:
-    """Return what a gesture needs to know of an object, or None for one that cannot be touched.
+    """Return the target of gestures on an object; None for an object that cannot be touched.
 
-    For a box it is the upper face (as at angle 0), for a disc the tangent at its top, of infinite extent.
+    The target of a box is its upper face (as at angle 0), that of a disc the tangent at its top, infinitely long.
     """
     if not isinstance(item, SURFACE_MODELS):
         return None

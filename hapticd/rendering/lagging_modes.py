@@ -25,11 +25,11 @@ from hapticd.rendering.displayability import Touched, displayed_mode, mode_path,
 MAX_AMPLITUDE_ERROR: Final = 0.1
 """Largest unreported amplitude error, as a fraction: that of a mode at half the bandwidth of an actuator of order 1."""
 _BANDWIDTH_SEARCH_FACTOR: Final = 1.5
-"""Factor between the bandwidths that are tried."""
+"""Ratio of successive bandwidths that are tried to find a sufficient one."""
 _BANDWIDTH_BISECTIONS: Final = 3
-"""Bisections of the interval in which the bandwidth becomes sufficient."""
+"""Number of bisections between an insufficient and a sufficient bandwidth."""
 _UNKNOWN_HANDLE: Final = Dynamics(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Handle used if the device's is unknown. Strikes are not compensated then, so its mass cancels."""
+"""Handle that is assumed if the device's is unknown. Strikes are then not compensated, so the mass cancels."""
 
 
 def lag_warnings(materials: Mapping[str, Material], output: Output) -> list[Problem]:
@@ -40,7 +40,7 @@ def lag_warnings(materials: Mapping[str, Material], output: Output) -> list[Prob
 
 
 def shown_part(mode: Mode, output: Output, touched: Touched) -> complex:
-    """Return the complex part of a mode, not above 0.4 of the rate, that the handle shows; 1 with an ideal actuator."""
+    """Return the complex part of a displayable mode that the handle shows; 1 with an ideal actuator."""
     return _contained(mode, output, touched) / _contained(mode, replace(output, actuator=None), touched)
 
 
@@ -85,7 +85,7 @@ def _is_shown(part: complex) -> bool:
 
 
 def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
-    """Yield changes, in words, each of which would show the mode to within MAX_AMPLITUDE_ERROR."""
+    """Yield texts of remedies; each remedy alone would show the mode to within MAX_AMPLITUDE_ERROR."""
     if output.compensation == "off":
         compensated = replace(output, compensation="full")
         if output.dynamics is None:

@@ -1,7 +1,7 @@
-"""Rendering without a daemon: the servo's own tick, without clock, thread or I/O.
+"""Rendering without a daemon: the servo's tick, without clock, thread or I/O.
 
 `render` computes forces from positions (open loop); `simulate` closes the loop with the simulated joystick. The same
-input gives the same bits on every run.
+input gives the same bits in every run.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.undisplayable_text import Undisplayable
 
 Samples: TypeAlias = npt.NDArray[np.void]
-"""Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record for each tick, with the fields and units of telemetry."""
+"""Array (n,) of `hapticd.SAMPLE_DTYPE`: one record for each tick, with the fields and units of telemetry."""
 
 Events: TypeAlias = npt.NDArray[np.void]
-"""Shape (m,), dtype `hapticd.base.core.EVENT_DTYPE`."""
+"""Array (m,) of `hapticd.base.core.EVENT_DTYPE`."""
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 MAX_DURATION_S = 3600.0
-"""Longest duration of a run."""
+"""Longest simulated time of a run: all samples are kept in memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +64,9 @@ class Run:
     objects: dict[tuple[int, int], str]
     """Ids of the objects that events refer to, by slot and generation."""
     truth: Floats | None
-    """(n, 4) exact position (m) and velocity (m/s) of the simulated handle at each tick; None for `render`."""
+    """Exact position (m) and velocity (m/s) of the simulated handle at each tick, (n, 4); None for `render`."""
     undisplayable: tuple[Undisplayable, ...]
-    """Modes and texture peaks of the scene whose frequency is too high for this rate."""
+    """Modes, waveforms and texture peaks of the scene whose frequency is too high for this rate."""
     warnings: tuple[Problem, ...]
     """Deviations in the display of the scene at this rate; in the closed loop also contact sets that may oscillate."""
     rate_hz: float
@@ -74,9 +74,9 @@ class Run:
 
 
 class CompiledScene:
-    """A configuration that is compiled for a rate, by default its own servo rate.
+    """A configuration, compiled for a servo rate, by default for the configured one.
 
-    Raises InvalidError for a material that no signal of this rate can have.
+    Raises InvalidError for a texture whose frequencies are not below half the rate.
     """
 
     def __init__(self, config: ConfigSource, rate_hz: float | None = None) -> None:
@@ -91,13 +91,13 @@ class CompiledScene:
         self.world = new_world(self._compiler.update(scene, scene.objects, materials, 1))
 
     def new_state(self, resolution_m: float) -> CData:
-        """Return a new state, without contacts or modes, for positions of this resolution."""
+        """Return a state without contacts or modes; `resolution_m` is the step of positions, 0 for exact ones."""
         state = new_state_of(len(self.config.scene.objects))
         lib.hd_state_set_resolution(state, resolution_m)
         return state
 
     def stability(self) -> Stability:
-        """Return which sets of objects are unsafe with the simulated joystick, even if the device is another one."""
+        """Return the stability of the contact sets with the simulated joystick, even if the device is another one."""
         device = self.config.device.model_copy(update={"kind": "sim"})
         loop = loop_of(self.config.model_copy(update={"device": device}), self.rate_hz)
         assert loop is not None
@@ -118,7 +118,7 @@ class CompiledScene:
 
 
 def new_state_of(slots: int) -> CData:
-    """Return a `struct hd_state *` with room for `slots` objects, freed with the last reference to it."""
+    """Return a state of ticks, a `struct hd_state *`, for up to `slots` objects; freed when unused."""
     state = lib.hd_state_new(max(1, slots))
     if state == ffi.NULL:
         raise MemoryError("not enough memory for the state of a run")
@@ -126,7 +126,7 @@ def new_state_of(slots: int) -> CData:
 
 
 def new_world(table: CData) -> CData:
-    """Return a `struct hd_world *` that holds a table, freed with the last reference to it.
+    """Return a world, a `struct hd_world *` that holds the table of a scene; freed when unused.
 
     Raises HapticdError if the core rejects the table.
     """
@@ -150,7 +150,7 @@ def _rate(rate_hz: float) -> float:
 
 
 class _Recorder:
-    """Runs ticks in blocks, each with room for all events that its ticks can have, and collects the events."""
+    """Runs ticks in blocks, with room for all events that the ticks of a block can have, and collects the events."""
 
     BLOCK_TICKS = 4096
     EVENTS_PER_TICK = 256
@@ -198,12 +198,12 @@ class Rerun:
             lib.hd_state_mute(self._state)
 
     def change_rate(self, output: Output) -> None:
-        """Set another output (device and rate). `turn_to` must follow before the next tick."""
+        """Change the output (device and rate). `turn_to` must be called before the next tick."""
         self._output = output
         self._compiler.turn_to(output)
 
     def turn_to(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
-        """Take a validated scene, in which only the objects `changed` differ from the scene before.
+        """Change to a validated scene, which differs from the previous scene only in the objects `changed`.
 
         Afterwards `name_of` may return None for events of earlier ticks.
         """
@@ -215,21 +215,21 @@ class Rerun:
         _play(self._state, self._output, mode, mode.coefficient(1.0, attack), direction, amplitude_m_per_s2)
 
     def reset(self, objects: Iterable[str] | None, time_ns: int) -> None:
-        """Clear contact state at the next tick, at the time `time_ns`, as the daemon's `reset` does."""
+        """Clear the contact state of objects (None: all) at the next tick, whose time is `time_ns`, as `reset` does."""
         places = [(NO_SLOT, 0)] if objects is None else map(self._compiler.slot_of, objects)
         for place in places:
             if place is not None:
                 lib.hd_state_reset(self._state, *place, time_ns)
 
     def name_of(self, event: npt.NDArray[np.void] | np.void) -> str | None:
-        """Return the id of the object that an event refers to."""
+        """Return the id of the object to which an event refers; None without an object."""
         return self._compiler.name_of(int(event["slot"]), int(event["generation"]))
 
     def run(self, recorded: Samples, interval_s: Floats, periods: npt.NDArray[np.uint32]) -> tuple[Samples, Events]:
         """Render (n,) recorded ticks again, and return the rendered samples and events.
 
-        `interval_s` (n,) is the time from the previous position report to that of a tick, 0 without a new report.
-        `periods` (n,) is the number of periods since the previous tick.
+        `interval_s` (n,) is the time from the previous position report to that of the tick, 0 without a new report.
+        `periods` (n,) is the number of periods since the previous tick, 1 if no period was missed.
         """
         world, samples = self._world, np.empty(len(recorded), SAMPLE_DTYPE)
         assert world is not None
@@ -282,11 +282,11 @@ class Simulation:
         _play(self._state, self._scene.output, mode, 1.0, direction, coefficient_m_per_s2)
 
     def advance(self, duration_s: float) -> Floats:
-        """Return exact position (m) and velocity (m/s) of the handle at the next ticks, (n, 4)."""
+        """Run for a time; return the exact position (m) and velocity (m/s) of the handle at each tick, (n, 4)."""
         return self.run(duration_s)[1]
 
     def run(self, duration_s: float) -> tuple[Samples, Floats, Events]:
-        """Return samples (n,), the handle's exact motion (n, 4) and the events of the next ticks, at least one tick."""
+        """Run for a time, at least one tick; return samples (n,), exact motion of the handle (n, 4) and events."""
         count = max(1, round(duration_s * self._scene.rate_hz))
         samples, truth = np.empty(count, SAMPLE_DTYPE), np.empty((count, 4))
         events = self._recorder.run(
@@ -325,7 +325,7 @@ def _duration(duration_s: float, rate_hz: float) -> float:
 
 
 def _numbers(values: npt.ArrayLike, name: str, columns: int) -> Floats:
-    """Return `values` as real numbers of shape (n, columns), which need not be finite."""
+    """Return `values` as real numbers, shape (n, columns), finite or not. Raises InvalidError for other values."""
     try:
         given = np.asarray(values)
         if given.dtype.kind not in "fiu" or isinstance(values, np.ma.MaskedArray):
@@ -354,7 +354,7 @@ def render(
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
 ) -> Samples:
-    """Return the samples, with forces, for a given path of positions (open loop).
+    """Return the samples, with the rendered forces, for a given path of positions (open loop).
 
     `config` is the content of a YAML file (materials, device, scene), as a mapping or a path. `position_m` has shape
     (n, 2), one position for each tick, used without encoder, delay or actuator resolution. `rate_hz`, ticks per
@@ -374,7 +374,7 @@ def render_run(
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
 ) -> Run:
-    """Return the samples that `render` returns, with the events and warnings of the run."""
+    """Render as `render` does; return the samples with the events and warnings of the run."""
     scene = CompiledScene(config, rate_hz)
     positions = _positions(position_m, "position_m")
     count = len(positions)
@@ -431,9 +431,9 @@ def simulate_run(
     interpolation: Literal["linear", "minimum_jerk"] | None = None,
     check_stability: bool = True,
 ) -> Run:
-    """Simulate as `simulate` does, and return the events and the handle's exact motion, too.
+    """Simulate as `simulate` does; return the samples with events, exact motion of the handle, and warnings.
 
-    Without `check_stability`, which may take longer than the run, the warnings do not cover oscillations.
+    Without `check_stability`, which may take longer than the run, the warnings do not include oscillations.
     """
     scene = CompiledScene(config, rate_hz)
     operator = _operator(waypoints, interpolation)

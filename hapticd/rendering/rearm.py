@@ -1,9 +1,9 @@
-"""`device.rearm_m`, the withdrawal after which a surface can be tapped again, for a given noise and encoder step.
+"""`device.rearm_m`, the withdrawal after which a surface can be tapped again, from noise and encoder step.
 
 Noise is assumed Gaussian with standard deviation s, independent at each of r samples a second. A probe held at a
-height m above a surface taps falsely if one sample is h or more above the surface, which rearms it, and a later one is
-below. Waiting for an event of probability p takes 1/p samples on average. So r / (1/Q((h - m)/s) + 1/Q(m/s)) false
-taps happen each second, with the Gaussian tail Q. Most happen half way, at m = h/2:
+height m above a surface taps falsely if one sample is h or more above the surface, so that it can be tapped again, and
+a later sample is below. Waiting for an event of probability p takes 1/p samples on average. So the rate of false taps
+is r / (1/Q((h - m)/s) + 1/Q(m/s)) a second, with the Gaussian tail Q. It is highest half way, at m = h/2:
 
     r Q(h / 2s) / 2   a second.
 
@@ -22,23 +22,23 @@ import numpy as np
 import numpy.typing as npt
 
 SECONDS_PER_DAY: Final = 86_400.0
-"""Seconds of a day, in which at most one false tap is allowed."""
+"""rearm_m allows at most one false tap a day."""
 MAX_REARM_M: Final = 0.01
 """Upper limit of device.rearm_m."""
 DETREND_WINDOW_S: Final = 0.05
-"""Changes slower than this are motion rather than noise."""
+"""Changes over longer times count as motion rather than noise."""
 _RELATIVE_TOLERANCE: Final = 1e-9
-"""Relative tolerance of comparisons, against rounding."""
+"""Relative tolerance of comparisons of distances, against rounding."""
 
 Floats = npt.NDArray[np.float64]
 
 
 def rearm_sigmas(rate_hz: float) -> float:
-    """Return the withdrawal less the encoder step, in noise standard deviations, for at most one false tap a day."""
+    """Return the withdrawal without encoder step, in standard deviations of noise, for at most one false tap a day."""
     return -2.0 * NormalDist().inv_cdf(min(0.5, 2.0 / (rate_hz * SECONDS_PER_DAY)))
 
 
-def least_rearm_m(noise_m: float, step_m: float, rate_hz: float) -> float:
+def min_rearm_m(noise_m: float, step_m: float, rate_hz: float) -> float:
     """Return the smallest rearm_m with at most one false tap a day, rounded up to two digits, at most MAX_REARM_M."""
     exact = min(step_m + rearm_sigmas(rate_hz) * noise_m, MAX_REARM_M)
     if exact < 1e-9:
@@ -52,14 +52,14 @@ class Resting:
     """Noise and steps of the positions of a handle at rest."""
 
     noise_m: float
-    """Standard deviation; 0 if only two neighbouring steps occur."""
+    """Standard deviation of the noise; 0 if the positions differ by at most one step."""
     step_m: float
     rate_hz: float
 
     @property
     def rearm_m(self) -> float:
-        """The smallest device.rearm_m with at most one false tap a day for these positions."""
-        return least_rearm_m(self.noise_m, self.step_m, self.rate_hz)
+        """The smallest device.rearm_m with at most one false tap a day for this noise and step."""
+        return min_rearm_m(self.noise_m, self.step_m, self.rate_hz)
 
     def to_dict(self) -> dict[str, float]:
         """Return the values as a mapping for JSON."""
@@ -76,7 +76,7 @@ class Resting:
 
 
 def at_rest(position_m: Floats, step_m: float, rate_hz: float) -> Resting:
-    """Return the noise and steps in the positions (n,) of a handle that nothing drives, sampled at a rate.
+    """Return the noise and steps of positions (n,) of a handle that nothing drives, at each tick.
 
     A tick without a new position has NaN. Slow motion is removed as a straight line over each DETREND_WINDOW_S.
     """
@@ -96,10 +96,7 @@ def at_rest(position_m: Floats, step_m: float, rate_hz: float) -> Resting:
 
 
 def rearm_text(rearm_m: float, step_m: float | None, rate_hz: float) -> str | None:
-    """Return the sentence on device.rearm_m that `hapticd check` prints, or None if it has nothing to report.
-
-    `step_m` is the encoder's step, None if unknown.
-    """
+    """Return the sentence on device.rearm_m in `hapticd check`, None if not needed; `step_m` None: step unknown."""
     if rearm_m == 0.0:
         if step_m == 0.0:
             return None

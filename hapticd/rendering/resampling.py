@@ -9,9 +9,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hapticd.base.lattice import Reflection, with_poles
+from hapticd.config.texture import MAX_ORDER
 from hapticd.rendering.filter_design import (
     COARSE_RULE,
-    MAX_ORDER,
     Array,
     ComplexArray,
     panel_nodes,
@@ -29,7 +29,7 @@ _WHITE_NOISE_FRACTION: Final = 1e-7
 _MIN_SKIRT_EXPONENT: Final = 12.0
 """Smallest n with which power falls as 1/f^n beyond the band of a model that is shown at a higher rate."""
 _MAX_SKIRT_POWER_FRACTION: Final = 0.05
-"""Largest fraction of the power that may lie beyond the band of such a model."""
+"""Largest fraction of the power that may lie beyond the band of a model that is shown at a higher rate."""
 _MAX_PLACED_POLES: Final = 4
 """Largest number of the model's poles (or pairs) that are converted to the new rate directly, not fitted."""
 _MAX_REFINEMENTS: Final = 6
@@ -59,8 +59,8 @@ def resampled(model: Reflection, from_rate_hz: float, to_rate_hz: float) -> Resa
 
     At a higher rate the model is undefined beyond its band. There the target falls steeply from the band's edge. If
     that fit is not accepted, it is refined in two ways. The power beyond the band, which is arbitrary, follows the last
-    fit, but stays below the power at the edge. As 32 lags of the new rate may be too short to resolve the model's
-    poles, its sharpest poles p are placed directly, at p^(from/to), and the recursion fits the rest.
+    fit, but stays below the power at the edge. And the model's sharpest poles p are placed directly, at p^(from/to),
+    while the recursion fits the rest: 32 lags of the new rate may be too short to resolve these poles.
     """
     if from_rate_hz == to_rate_hz:
         return Resampled(model, 1.0, 0.0)

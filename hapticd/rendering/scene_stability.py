@@ -17,21 +17,21 @@ from hapticd.rendering.stability_remedy import with_remedy
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """Stability of the contact sets of a scene, or the reason why it is unknown."""
+    """Stability of the contact sets of a scene, or the reason why the stability is unknown."""
 
     unknown: str | None
     """The reason, on one line; None if the stability is known."""
     assumed: Loop | None
-    """The closed loop for which the stability was computed; None if it is unknown."""
+    """The closed loop for which the stability was computed; None if the stability is unknown."""
     sets: int = 0
     unsafe: int = 0
     """Number of sets that are not proved safe."""
     worst: tuple[Margin, ...] = ()
-    """Up to MAX_REPORTED_SETS sets, the smallest margin first: those not proved safe, or all if requested."""
+    """Margins of up to MAX_REPORTED_SETS sets, the worst first: of sets not proved safe, or of all if requested."""
 
     @property
     def harmful(self) -> tuple[Margin, ...]:
-        """The reported sets with the verdict unsafe, without those that are only unproved."""
+        """Margins of the reported sets that may oscillate, without sets that are only not proved safe."""
         return tuple(margin for margin in self.worst if margin.verdict == "unsafe")
 
     def to_dict(self) -> dict[str, object]:
@@ -45,7 +45,7 @@ class Stability:
         }
 
     def problems(self) -> list[Problem]:
-        """Return a line for each of the worst unsafe contact sets, and a line with the number of others not safe."""
+        """Return a problem for each of the worst unsafe sets, and, if these are many, one with the number of others."""
         harmful = self.harmful
         found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MAX_STABILITY_LINES]]
         if len(harmful) > MAX_STABILITY_LINES:
@@ -78,10 +78,7 @@ def sets_of(config: Config) -> ContactSets | None:
 
 
 def evaluate(compiler: Compiler, scene: Scene, loop: Loop, unsafe: bool = True) -> Stability:
-    """Return the stability of a scene, whose objects are in the compiler's table.
-
-    `unsafe` limits the report to sets that are not proved safe.
-    """
+    """Return the stability of the compiled scene; `unsafe` limits the list `worst` to sets not proved safe."""
     surfaces = compiler.surfaces()
     sets = ContactSets(surfaces, loop)
     found = sets.worst(MAX_REPORTED_SETS, unsafe=unsafe)

@@ -1,4 +1,4 @@
-"""Whether the loop of tick, device and hand is stable: margins of stiffness and their limits.
+"""Stability of the loop of tick, device and hand: limits of stiffness and eigenvalues.
 
 A wall of stiffness K and damping D is sampled: its force is computed from an earlier position and held for a period.
 Instability has three causes, each with a condition. They are derived in docs/stability.md, which explains how they
@@ -30,30 +30,30 @@ Floats: TypeAlias = npt.NDArray[np.float64]
 Limit: TypeAlias = Literal["passivity", "quantisation", "eigenvalues"]
 Verdict: TypeAlias = Literal["safe", "unproved", "unsafe"]
 """safe: a contact is proved to come to rest in any passive hand. unsafe: motion of the linear loop grows with the
-configured hand or with the handle released, or dry friction does not absorb the noise of positions. unproved: else."""
+configured hand or with the handle released, or dry friction does not absorb noise of positions. unproved: neither."""
 
 SPEED_ESTIMATE_ERROR_GAIN: Final = 7.0 / 3.0
-"""Largest gain of the velocity estimator from errors of its fitted lines to the estimated speed. The estimate adds up
-to 2/3 of the slope's change since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
+"""Largest gain of the velocity estimator from slope errors of its fitted lines to the estimated speed. It adds up to
+2/3 of the change of slope since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
 WINDOW_MEAN_ENERGY_GAIN: Final = 2.0
 """Largest ratio of the energy of means over windows of changing length to that of the averaged signal (Hardy)."""
 ASSUMED_PRESS_N: Final = 1.0
-"""Pressing force for which groove flanks and ramps between materials are judged; their stiffness grows with it."""
+"""Assumed pressing force, with which the stiffness of groove flanks and of ramps between materials grows."""
 WORST_NORMAL_FACTOR: Final = (1.0 + math.sqrt(2.0)) / 2.0
-"""The largest |n_x| (|n_x| + |n_y|) of all unit vectors n."""
+"""Maximum of |n_x| (|n_x| + |n_y|) over all unit vectors n."""
 
 _MAX_PATTERN_TICKS: Final = 128
 """Longest period of the pattern of measurements and forces, in ticks, for which `reach_s` is computed exactly."""
 _SAMPLED_TICKS: Final = 1000
-"""Number of ticks that are sampled if the pattern is longer."""
+"""Number of ticks from which `reach_s` is bounded if the pattern is longer than _MAX_PATTERN_TICKS."""
 _MAX_DELAY_PERIODS: Final = 40
-"""Largest delay in loop_matrix, in periods; a longer one is modelled with a longer period."""
+"""Longest delay in loop_matrix, in periods. A longer delay is modelled with longer periods."""
 _MIN_SEARCHED_N_PER_M: Final = 0.1
-"""Stiffness at which held_factor begins its search for the largest stable one."""
+"""Stiffness at which held_factor begins the search for the largest stable stiffness."""
 _MAX_SEARCHED_N_PER_M: Final = 1e7
 """Largest stiffness that held_factor tries in its search."""
 MAX_STABLE_RADIUS: Final = 1.0 + 1e-6
-"""Spectral radius above which a loop counts as growing. A free handle has the eigenvalue 1, which may be rounded up."""
+"""Spectral radius above which motion counts as growing. A free handle has the eigenvalue 1, which may be rounded up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +71,12 @@ class Timing:
     """Damping of the handle (N s/m) that passivity needs per 1 N s/m of virtual damping: 1 if forces are held exactly
     as long as the interval of positions."""
     reading_s: float
-    """Shortest time between two positions that are read."""
+    """Shortest time between two measured positions that the servo reads."""
     gain: float = 1.0
     """Factor by which an actuator that overshoots may amplify the noise of forces."""
 
     def with_actuator(self, gain: float, late_s: float, mean_s: float) -> Timing:
-        """Return this timing with an actuator that spreads a force over later times (Actuator.shares)."""
+        """Return the timing with the lag of an actuator, given as Actuator.shares returns it."""
         return replace(
             self,
             delay_s=self.delay_s + mean_s,
@@ -101,8 +101,8 @@ def timing(
     the same multiple, the newest acts.
 
     If the pattern of measurements and forces repeats within 128 ticks, `reach_s` is exact: the norm of the operator
-    that maps a velocity to the displacement since the measurement, found as the largest eigenvalue of a matrix over one
-    pattern. Otherwise `reach_s` is the bound of Schur's test, which is larger.
+    that maps a velocity to the displacement since the measurement. This norm is the largest eigenvalue of a matrix over
+    one pattern. Otherwise `reach_s` is the bound of Schur's test, which is larger.
     """
     tick = Fraction(1)
     report = _ratio(report_interval_s * rate_hz) if report_interval_s > 0.0 else tick
@@ -146,7 +146,7 @@ def timing(
 
 
 def _ratio(value: float) -> Fraction:
-    """Return the ratio of small integers within 1e-9 of a value; without one, a ratio close to the value."""
+    """Return a ratio of small integers within 1e-9 of a value, or else a ratio close to the value."""
     near = Fraction(value).limit_denominator(_MAX_PATTERN_TICKS)
     return near if abs(near - Fraction(value)) <= Fraction(1, 10**9) else Fraction(value).limit_denominator(10**6)
 
@@ -155,8 +155,8 @@ def _symmetrised_norm(held: list[Fraction], acts: dict[Fraction, Fraction], patt
     """Return the norm of the symmetrised operator v -> integral of v from s(t) to t, in ticks.
 
     s(t) is the time of the measurement whose force acts at t. The kernel is periodic, and constant between the times at
-    which a position is measured or begins to act. As it is nowhere negative, its largest eigenvalue belongs to a motion
-    with the same period.
+    which a position is measured or begins to act. The kernel is nowhere negative, so the largest eigenvalue belongs to
+    a motion with the same period.
     """
     first = held[0]
     marks = sorted({(time - first) % pattern for time in (*held, *(acts[time] for time in held))})
@@ -182,9 +182,10 @@ def _symmetrised_norm(held: list[Fraction], acts: dict[Fraction, Fraction], patt
 
 
 def _schur_bound(held: list[Fraction], acts: dict[Fraction, Fraction]) -> float:
-    """Return a bound of `reach_s` in ticks, by Schur's test.
+    """Return an upper bound of `reach_s`, in ticks, by Schur's test.
 
-    It is half the longest time from a measurement M to the action of the first measurement after M's force has ended.
+    The bound is half the longest time from a measurement M to the action of the first measurement after the end of M's
+    force.
     """
     measured = [acts[time] for time in held]
     worst = Fraction(0)
@@ -210,29 +211,29 @@ class Loop:
 
     @property
     def lag(self) -> float:
-        """Fraction, 0 to 1, of the timing's reach_s that is delay rather than the hold of a force."""
+        """Fraction, 0 to 1, of `timing.reach_s` that is due to delay rather than to the hold of a force."""
         return max(0.0, 1.0 - 0.5 * self.timing.period_s / self.timing.reach_s)
 
     @property
     def late_periods(self) -> float:
-        """Periods by which the timing's reach_s exceeds the half period that the hold of a force costs."""
+        """Periods by which `timing.reach_s` exceeds the half period that is due to the hold of a force."""
         return self.timing.reach_s / self.timing.period_s - 0.5
 
     def without_hand(self) -> Loop:
-        """Return this loop with the handle released."""
+        """Return the loop of a released handle."""
         handle = replace(self.dynamics, grip_mass_kg=0.0, grip_damping_n_s_per_m=0.0, grip_stiffness_n_per_m=0.0)
         return replace(self, dynamics=handle)
 
     @property
     def damping_echo(self) -> float:
-        """Damping that the handle needs per 1 N s/m of virtual damping, including the velocity estimator's error."""
+        """Damping that the handle needs per 1 N s/m of virtual damping, with the error of the velocity estimator."""
         return self.timing.echo * (
             SPEED_ESTIMATE_ERROR_GAIN * WINDOW_MEAN_ENERGY_GAIN if self.encoder_step_m > 0.0 else 1.0
         )
 
     @property
     def speed_step_m_per_s(self) -> float:
-        """Largest error of a speed due to the encoder's step."""
+        """Largest error of the estimated speed due to the encoder's step."""
         return SPEED_ESTIMATE_ERROR_GAIN * self.encoder_step_m / self.timing.reading_s
 
     def to_dict(self) -> dict[str, object]:
@@ -249,7 +250,7 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """Stiffness of a contact set, the limits of this stiffness, and the eigenvalues of the loop."""
+    """Stiffness of a contact set, its limits, and the spectral radius of the loop."""
 
     objects: tuple[str, ...]
     stiffness_n_per_m: float
@@ -258,9 +259,9 @@ class Margin:
     limit_n_per_m: float
     """`margin` times the stiffness."""
     held_limit_n_per_m: float
-    """Largest stiffness at which the loop with the configured hand does not grow; infinite above 1e7 N/m."""
+    """Largest stiffness at which no motion grows with the configured hand; infinite above 1e7 N/m."""
     margin: float
-    """Largest factor on all stiffnesses of the set, with unchanged damping, with which it is safe in any passive hand.
+    """Largest factor on all stiffnesses, with unchanged damping, up to which the set is safe in any passive hand.
     Infinite without a limit, 0 if no factor is safe."""
     limited_by: Limit
     verdict: Verdict
@@ -269,7 +270,7 @@ class Margin:
     free_radius: float
     """Spectral radius with the handle released."""
     remedy: str = ""
-    """Keys to lower, with safe values; empty if `limit_n_per_m` says enough, or if nothing helps."""
+    """Keys to lower, with safe values; empty if a stiffness below `limit_n_per_m` suffices, or if nothing helps."""
 
     @property
     def safe(self) -> bool:
@@ -289,30 +290,29 @@ class Margin:
         text = f"{self.stiffness_n_per_m:.4g} N/m"
         if self.damping_n_s_per_m > 0.0:
             text += f" and {self.damping_n_s_per_m:.3g} N s/m"
-        most = f"up to {self.limit_n_per_m:.4g} N/m would be safe" if self.limit_n_per_m > 0.0 else ""
+        advice = f"up to {self.limit_n_per_m:.4g} N/m would be safe" if self.limit_n_per_m > 0.0 else ""
         if self.remedy:
-            most = f"safe with {self.remedy}"
-        if not self.safe and not most:
-            most = "no stiffness would be safe" + (" with that damping" if self.damping_n_s_per_m > 0.0 else "")
+            advice = f"safe with {self.remedy}"
+        if not self.safe and not advice:
+            advice = "no stiffness would be safe" + (" with that damping" if self.damping_n_s_per_m > 0.0 else "")
         if self.safe:
-            return f"{text} is safe in any hand; {most}" if most else f"{text} is safe in any hand"
+            return f"{text} is safe in any hand; {advice}" if advice else f"{text} is safe in any hand"
         if self.limited_by == "eigenvalues":
-            return f"{text} oscillates with the configured hand; {most}"
+            return f"{text} oscillates with the configured hand; {advice}"
         if self.free_radius > MAX_STABLE_RADIUS:
-            return f"{text} is stable with the configured hand, but not with the handle released; {most}"
+            return f"{text} is stable with the configured hand, but not with the handle released; {advice}"
         if self.verdict == "unproved":
-            return f"{text} is stable with the configured hand and without one, but not proved for every hand; {most}"
-        return f"{text} may buzz, as dry friction does not absorb the steps of encoder and actuator; {most}"
+            return f"{text} is stable with the configured hand and without one, but not proved for every hand; {advice}"
+        return f"{text} may buzz, as dry friction does not absorb the steps of encoder and actuator; {advice}"
 
 
 def limits(
     stiffness_n_per_m: Floats, damping_n_s_per_m: Floats, noise_n: Floats, still_noise_n: Floats, loop: Loop
 ) -> tuple[Floats, Floats]:
-    """Return the stiffness factors up to which a contact set is passive, and up to which friction absorbs its noise.
+    """Return the stiffness factors up to which contact sets are passive, and up to which friction absorbs their noise.
 
-    All arrays are (n,). They hold the stiffness and damping of the passivity condition, the noise that grows with the
-    stiffness, and the noise that does not, both for the worse axis. A factor is infinite without a limit, and 0 if no
-    stiffness is safe.
+    All arrays are (n,). `noise_n` is the noise that grows with the stiffness, `still_noise_n` that which does not, both
+    for the worse axis. A factor is infinite without a limit, and 0 if no stiffness is safe.
     """
     b, c = loop.dynamics.handle_damping_n_s_per_m, loop.dynamics.friction_n / loop.timing.gain
     left = b - loop.damping_echo * damping_n_s_per_m
@@ -375,22 +375,19 @@ def loop_matrix(stiffness: Floats, damping: Floats, loop: Loop) -> Floats:
 
 
 def spectral_radius(stiffness: Floats, damping: Floats, loop: Loop) -> Floats:
-    """Return the spectral radius of loop_matrix: shapes (..., 2, 2) to (...).
-
-    Above 1 the linear loop grows with the configured hand.
-    """
+    """Return the spectral radius of loop_matrix, shapes (..., 2, 2) to (...). Above 1, motion of the loop grows."""
     radius: Floats = np.abs(np.linalg.eigvals(loop_matrix(stiffness, damping, loop))).max(axis=-1)
     return radius
 
 
-def held_factor(stiffness: Floats, damping: Floats, loop: Loop, least: Floats) -> Floats:
+def held_factor(stiffness: Floats, damping: Floats, loop: Loop, known: Floats) -> Floats:
     """Return the largest factors (n,) on `stiffness` (n, 2, 2) up to which motion of the linear loop does not grow.
 
-    `least` (n,) are factors that are known to be stable, 0 if unknown. The search doubles the factor, then bisects to
-    0.1 %. A factor is 0 if none is found to be stable, and infinite if the loop is stable up to 1e7 N/m.
+    `known` (n,) are factors that are known to be stable, 0 if unknown. The search doubles the factor, then bisects to
+    0.1 %. A factor is 0 if no tried factor is stable, and infinite if the loop is stable up to 1e7 N/m.
     """
     size = np.maximum(np.linalg.norm(stiffness, 2, axis=(-2, -1)), 1e-9)
-    low, high = np.minimum(least, _MAX_SEARCHED_N_PER_M / size), np.full(len(size), np.inf)
+    low, high = np.minimum(known, _MAX_SEARCHED_N_PER_M / size), np.full(len(size), np.inf)
     factor = np.maximum(low, _MIN_SEARCHED_N_PER_M / size)
     rising = np.ones(len(size), dtype=bool)
     while rising.any():

@@ -1,8 +1,8 @@
-"""Stiffnesses to lower so that a contact set is safe, found with the analysis that judged it unsafe.
+"""Remedies for a contact set that is not safe: stiffnesses to lower, or depths of grooves.
 
-The curvature of groove flanks does not fall with the stiffness, and that of the ramps between patches rises where the
-wall is softer. A softer wall is also pressed deeper and may reach other objects. So a limit is not simply the margin
-times the stiffness: each proposed scene is judged again.
+The stiffness due to the curvature of groove flanks does not fall with that of the material; the stiffness due to ramps
+between patches rises where the wall is softer. A softer wall is also pressed deeper and may reach other objects. So the
+limit is not simply the margin times the stiffness: each proposed scene is analysed again.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from hapticd.rendering.stability import Loop, Margin
 from hapticd.rendering.surface_table import Ints, SurfaceTable
 
 _MIN_STIFFNESS_FACTOR: Final = 1e-3
-"""Smallest factor on the stiffness that counts as a remedy."""
+"""Smallest factor on the stiffness that is proposed as a remedy."""
 _SEARCH_FACTOR_STEP: Final = 0.75
-"""Ratio of the factors that are tried until one is safe."""
+"""Ratio of successive factors that are tried until a factor is safe."""
 _FACTOR_BISECTIONS: Final = 7
-"""Number of bisections between the safe factor that was found and the previous, unsafe one."""
+"""Number of bisections between the first safe factor and the unsafe one before."""
 _CHECKED_FACTOR_PARTS: Final = (1.0, 0.99, 0.9)
-"""A factor is reported only if the set is safe with each of these fractions of it."""
+"""A factor counts as safe only if the set is safe with each of these fractions of the factor."""
 MAX_SURFACES_JUDGED_TOGETHER: Final = 200
-"""In a scene with more surfaces a set is judged alone, without surfaces that only a softer wall reaches."""
+"""In a scene with more surfaces, a set is analysed alone, without surfaces that only a softer wall reaches."""
 _MAX_NAMED_MATERIALS: Final = 4
-"""Number of materials that a remedy names."""
+"""Largest number of materials that a remedy names."""
 
 
 def with_remedy(margin: Margin, surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> Margin:
-    """Return the margin of an unsafe set with its actual limit, and with keys to lower if the limit says too little."""
+    """Return the margin of a set that is not safe with a checked limit, and with a remedy if one is needed."""
     own = np.array(slots, dtype=np.int64)
     alone = np.count_nonzero(surfaces.objects["shape"]) > MAX_SURFACES_JUDGED_TOGETHER
     if alone:
@@ -90,7 +90,7 @@ def _is_safe_near(
 def _largest_safe_factor(
     safe: Callable[[SurfaceTable], bool], with_factor: Callable[[float], SurfaceTable], top: float
 ) -> float:
-    """Return the largest stiffness factor up to `top` that is safe, as are slightly smaller ones; 0 if none is."""
+    """Return the largest safe stiffness factor up to `top`; 0 without a safe factor."""
     low = high = top
     while not _is_safe_near(safe, with_factor, low):
         low, high = _SEARCH_FACTOR_STEP * low, low
@@ -110,7 +110,7 @@ def _named(surfaces: SurfaceTable, materials: Ints) -> str:
 
 
 def _rounded(value: float) -> str:
-    """Return a safe limit as text, rounded down to three digits, as only smaller values are safe."""
+    """Return a limit as text, rounded down to three digits, as larger values are not safe."""
     digit = 10.0 ** (math.floor(math.log10(value)) - 2)
     return f"{math.floor(value / digit) * digit:.6g}"
 
@@ -118,8 +118,8 @@ def _rounded(value: float) -> str:
 def _softened(surfaces: SurfaceTable, materials: Ints, factor: float, springs: bool) -> str:
     stiffness = surfaces.materials["stiffness_n_per_m"][materials]
     if len(materials) == 1 and not springs:
-        most = _rounded(factor * float(stiffness[0]))
-        return f"a stiffness_n_per_m of at most {most} N/m for {_named(surfaces, materials)}"
+        limit = _rounded(factor * float(stiffness[0]))
+        return f"a stiffness_n_per_m of at most {limit} N/m for {_named(surfaces, materials)}"
     of = f"of {_named(surfaces, materials)}" if len(materials) > 0 else "of the fields"
     more = ", springs of friction and fields included," if springs and len(materials) > 0 else ""
     return f"every stiffness {of}{more} at most {_rounded(factor)} times its value"
@@ -163,7 +163,7 @@ def _reshaped(safe: Callable[[SurfaceTable], bool], surfaces: SurfaceTable, mate
     depth = _largest_safe_factor(safe, flatter, 1.0)
     if depth > 0.0:
         return flat(depth)
-    # Leave room for both: nine tenths of the stiffness that would be safe without grooves.
+    # Both are lowered: the stiffness to nine tenths of the limit without grooves, then the depth.
     factor = 0.9 * _largest_safe_factor(safe, lambda some: capped(some, flatter(0.0)), 1.0)
     depth = _largest_safe_factor(safe, lambda some: flatter(some, capped(factor)), 1.0) if factor > 0.0 else 0.0
     return f"{cap(factor)} and {flat(depth)}" if depth > 0.0 else ""

@@ -1,12 +1,12 @@
-"""A scene's stability in sentences: results and remedies. The input is the map of `hapticd check --json`."""
+"""The stability of a scene in sentences, with remedies, from the map `stability` of `hapticd check --json`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 MAX_EXPLAINED_SETS: Final = 5
-"""Number of contact sets that are explained one by one."""
+"""Maximum number of contact sets that are explained, one line each."""
 _MAX_NAMED_OBJECTS: Final = 4
-"""Number of objects of a set that are named."""
+"""Maximum number of objects of a set that are named."""
 
 
 def stability_words(found: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -1,7 +1,7 @@
-"""The margin of each surface alone, from a compiled table; it takes microseconds per surface.
+"""The margin of each surface alone, from a compiled table, computed in microseconds per surface.
 
 The margin is the factor on the stiffness up to which the surface is passive, and the handle's dry friction absorbs the
-noise of encoder and actuator. It equals that of contact_sets.py for a set of this surface alone, without fields.
+noise of encoder and actuator. For a set of one surface without fields, contact_sets.py yields the same margin.
 `hapticd check` adds the effects of other surfaces and fields, the eigenvalues and the remedies.
 """
 
@@ -20,20 +20,20 @@ from hapticd.rendering.surface_properties import depends_on_radius, properties_o
 from hapticd.rendering.surface_table import SurfaceTable
 
 _SurfaceKind: TypeAlias = tuple[int, int, float]
-"""Properties by which surfaces share terms of their margin: material, first piece (-1: no patches), radius (0: any)."""
+"""Material, first piece (-1: no patches), radius (0: irrelevant). Surfaces of one kind share terms of the margin."""
 _PLANE_SHAPES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
 """Shapes that push along one normal."""
 _DISC_SHAPE: Final = int(Shape.DISC)
-"""Shape number of a disc."""
+"""Shape of a disc; an int is faster to compare than a member of Shape."""
 _WORST_NORMAL_COMPONENT: Final = math.sqrt(0.5 * WORST_NORMAL_FACTOR)
-"""Used as x and y of a normal, this value makes the factor in `of` WORST_NORMAL_FACTOR, that of the worst normal."""
+"""Value of |n_x| and |n_y| with which the noise of a surface without one normal gets the factor WORST_NORMAL_FACTOR."""
 
 
 class _KindMargins(NamedTuple):
     """Terms of the stability margin that surfaces of one kind share, independent of position and orientation."""
 
     passive: float
-    """Factor by which the stiffness may grow before the surface is no longer passive."""
+    """Factor on the stiffness up to which the surface is passive."""
     along_n: float
     """Noise along the normal that grows with the stiffness."""
     across_n: float
@@ -47,7 +47,7 @@ class _KindMargins(NamedTuple):
 class SurfaceMargins:
     """Computes the stability margins of surfaces, and caches the terms that all surfaces of one kind share.
 
-    The cache is valid as long as the table's materials and pieces are unchanged.
+    The cache is cleared when materials or pieces of the table change.
     """
 
     def __init__(self, loop: Loop) -> None:
@@ -55,7 +55,7 @@ class SurfaceMargins:
         self._quiet_n = loop.dynamics.friction_n / loop.timing.gain - 0.5 * loop.force_step_n
         self._version: int | None = None
         self._cache: dict[_SurfaceKind, _KindMargins | None] = {}
-        """Cache by kind; None: the surface exerts no force."""
+        """Terms by kind of surface; None: the surface exerts no force."""
         self._depends_on_radius: list[bool] = []
         """By material: whether the margin of a disc depends on its radius."""
 
@@ -101,13 +101,13 @@ class SurfaceMargins:
         return margins
 
     def _forget(self, compiler: Compiler) -> None:
-        """Clear the cached terms, as the table's materials or pieces have changed."""
+        """Clear the cached terms after a change of the table's materials or pieces."""
         self._depends_on_radius = depends_on_radius(compiler.surfaces().materials).tolist()
         self._version = compiler.parts_version
         self._cache.clear()
 
     def _find(self, surfaces: SurfaceTable, missing: dict[_SurfaceKind, int]) -> None:
-        """Compute and cache the terms shared by surfaces of these kinds, each from the slot of one surface."""
+        """Compute and cache the terms of the kinds `missing`, each from one surface of the kind, given by its slot."""
         loop = self.loop
         found = properties_of(surfaces.of(np.fromiter(missing.values(), np.int64, len(missing))))
         none = np.zeros(len(missing))

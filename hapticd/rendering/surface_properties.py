@@ -1,4 +1,4 @@
-"""Upper bounds of the forces of surfaces of a compiled table, which the analysis of contact sets adds up."""
+"""Upper bounds of stiffness, damping and noise of surfaces, which the analysis of contact sets adds up."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class SurfaceProperties(NamedTuple):
     drag: Floats
     """Damping along the surface."""
     friction_per_depth: Floats
-    """mu K: change of the friction force with the depth."""
+    """Change of the friction force with the depth, mu K."""
     friction_per_speed: Floats
-    """mu D: change of the friction force with the approach speed."""
+    """Change of the friction force with the approach speed, mu D."""
     normal_noise: Floats
     """Force along the normal per metre of position error."""
     tangent_noise: Floats
@@ -39,7 +39,7 @@ class SurfaceProperties(NamedTuple):
     """Force along the tangent per m/s of speed error."""
 
     def of(self, rows: npt.NDArray[np.integer]) -> SurfaceProperties:
-        """Return the properties of only the surfaces at these indices."""
+        """Return the properties of the surfaces at these indices."""
         return SurfaceProperties(*(values[rows] for values in self))
 
 
@@ -73,7 +73,7 @@ def _material_properties(materials: npt.NDArray[np.void]) -> SurfaceProperties:
 
 
 def depends_on_radius(materials: npt.NDArray[np.void]) -> npt.NDArray[np.bool_]:
-    """Return for each of these materials, MATERIAL_DTYPE (n,), whether a smaller disc is stiffer."""
+    """Return for each of `materials`, MATERIAL_DTYPE (n,), whether the stiffness of a disc depends on its radius."""
     return np.asarray((materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY))
 
 
@@ -91,7 +91,7 @@ def _put_discs(surfaces: SurfaceTable, properties: SurfaceProperties) -> None:
 
 
 def properties_of(surfaces: SurfaceTable) -> SurfaceProperties:
-    """Return the properties of each object: its material's, or the largest among its wall's pieces and their ramps."""
+    """Return upper bounds for each object, from its material, or from all pieces and ramps of a wall with patches."""
     materials = _material_properties(surfaces.materials)
     properties = SurfaceProperties(*(values.copy() for values in materials.of(surfaces.objects["material"])))
     _put_discs(surfaces, properties)

@@ -26,7 +26,7 @@ class SurfaceTable(NamedTuple):
     """Names of the materials, by index."""
 
     def of(self, slots: Ints) -> SurfaceTable:
-        """Return the table of only the surfaces at these slots, in this order."""
+        """Return a table with only the surfaces at these slots, in this order."""
         objects = self.objects[slots]
         count, first = objects["piece_count"].astype(np.int64), objects["piece_first"].astype(np.int64)
         begin = np.cumsum(count) - count
@@ -35,6 +35,6 @@ class SurfaceTable(NamedTuple):
         return self._replace(objects=objects, pieces=pieces)
 
     def materials_of(self, slots: Ints) -> Ints:
-        """Return the indices of all materials of these surfaces, each once."""
+        """Return the indices of the materials of the surfaces at these slots, without duplicates."""
         some = self.of(slots)
         return np.unique(np.concatenate((some.objects["material"], some.pieces["material"]))).astype(np.int64)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Literal, TypeAlias
 
 Use: TypeAlias = Literal["tap", "second", "rupture", "groove", "texture"]
-"""Use of a vibration in a material: the kind of strike of a mode, or a texture with a spectral peak."""
+"""Use of a vibration in a material: the strike that starts a mode, or `texture` for noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,6 @@ class Undisplayable:
 
 
 def undisplayable_text(entry: Mapping[str, object]) -> str:
-    """Return the text for an `undisplayable` entry of the protocol."""
+    """Return the text for an entry of the list `undisplayable` of the protocol."""
     shown = "silent" if entry["shown_hz"] is None else f"shown at {entry['shown_hz']:g} Hz"
     return f"{entry['mode']} of {entry['material']}, {entry['frequency_hz']:g} Hz: {shown}"

@@ -15,7 +15,8 @@ from hapticd.analysis.calibration.accelerometer import Recording
 from hapticd.analysis.calibration.fit import Estimate, Fit, Point, difference, fit, model_motion
 from hapticd.analysis.calibration.handle import Calibration
 from hapticd.analysis.calibration.rig import SimRig
-from hapticd.analysis.calibration.sweep import Burst, Floats, Record, Sweep, sweep_config
+from hapticd.analysis.calibration.sweep import Burst, Record, Sweep, sweep_config
+from hapticd.analysis.statistics import Floats
 from hapticd.base.core import ffi, lib, pointer
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config
@@ -91,7 +92,7 @@ def test_a_linear_device_by_scipy() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("order", "ratio"), [(1, 1.0), (2, 0.36), (2, 1.5)])
 @pytest.mark.parametrize("bandwidth_hz", [100, 300])
-def test_the_actuators_bandwidth_is_not_below_what_is_told(bandwidth_hz: float, order: int, ratio: float) -> None:
+def test_the_actuators_bandwidth_is_not_below_the_reported_bound(bandwidth_hz: float, order: int, ratio: float) -> None:
     """The lag by scipy's zero-order hold: the 3 dB point of 1/(1 + s/a), or of 1/(1 + 2 zeta s/a + (s/a)^2)."""
     rate, mass, damping = 2000.0, 0.07, 0.4
     force, bursts = drive_force(rate, [3, 5, 8, 12, 18, 27, 40, 60, 90], 0.8)
@@ -117,7 +118,7 @@ def test_the_actuators_bandwidth_is_not_below_what_is_told(bandwidth_hz: float, 
         (-1e-4, r"actuator: its bandwidth is above 5000 Hz, .*"),
     ],
 )
-def test_what_is_told_of_the_actuator(delay_s: float, told: str) -> None:
+def test_the_note_on_the_actuator(delay_s: float, told: str) -> None:
     free = Fit(0.04, 0.2, 0.05, 0.0, delay_s, (0, 0, 0, 0, 1e-7), 20, 1e-6, 1e-3, (Point(60.0, 1 + 0j),))
     record = Record(1000.0, 1e-3, False, np.zeros(2), np.zeros(2), ())
     found = Calibration("sim", "x", (record, record), free, free)
@@ -159,7 +160,7 @@ def test_dry_friction_by_small_steps(stiffness: float, friction: float) -> None:
 
 
 @pytest.mark.long
-def test_a_delay_is_told_from_damping() -> None:
+def test_a_delay_is_distinguished_from_damping() -> None:
     rate, mass, damping, late = 2000.0, 0.05, 0.5, 7
     force, bursts = drive_force(rate, [6, 9, 14, 20, 30, 45, 70], 0.7)
     position = integrated(force, rate, mass, damping, 0.05, 0.0)
@@ -303,7 +304,7 @@ def test_the_drive_stays_in_its_limits(held: bool) -> None:
     frequencies = sorted({burst.frequency_hz for burst in record.bursts})
     assert frequencies[0] < 3
     assert frequencies[-1] > 100
-    # The force is what the actuator makes of it.
+    # The force is rounded by the actuator.
     steps = record.force_n / 0.0043
     assert np.allclose(steps, np.round(steps))
 
@@ -323,7 +324,7 @@ def test_a_handle_that_does_not_move() -> None:
 
 
 def heard(found: Calibration, rate_hz: float, scale: float = 1.0) -> Recording:
-    """Both drives, one after the other, as an accelerometer with a clock of its own has them."""
+    """Both drives, one after the other, as an accelerometer with a separate clock records them."""
     parts = []
     for record, each in zip(found.records, (found.free, found.held), strict=True):
         speed = model_motion(record, each)[:, 1]

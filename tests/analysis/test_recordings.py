@@ -1,4 +1,4 @@
-"""Recordings: what is read of a file, in SI units and on a uniform clock, and what is refused by name."""
+"""Recordings: files are read in SI units on a uniform clock, or refused by name."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_columns_without_names_are_numbered_and_comments_skipped(tmp_path: Path)
     assert acceleration_of(load(path)) == pytest.approx(wave(TIME_S), abs=1e-6)
 
 
-def test_what_is_saved_is_loaded_the_same(tmp_path: Path) -> None:
+def test_saved_data_are_loaded_unchanged(tmp_path: Path) -> None:
     tap = shipped_materials()["wood"].tap
     assert tap is not None
     recording, _ = taps(tap, [0.1, 0.2], Stylus())
@@ -137,7 +137,7 @@ def test_jitter_is_put_right(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("late", [0.0, 0.4])
-def test_a_gap_is_kept_as_one_and_what_is_beside_it_stays(late: float, tmp_path: Path) -> None:
+def test_a_gap_stays_a_gap_and_its_neighbours_stay(late: float, tmp_path: Path) -> None:
     """Samples 200 to 239 are lost; after them the clock goes on up to half a period off."""
     kept = np.delete(np.arange(500), np.arange(200, 240))
     time_s = TIME_S[kept] + np.where(kept >= 240, late / RATE_HZ, 0.0)
@@ -191,11 +191,11 @@ def test_nan_and_gaps_in_rows_are_refused_by_their_line(tmp_path: Path) -> None:
         ({"time_s": TIME_S[:8], "force_n": TIME_S[:8]}, "", "must have between 16 and 20000000 samples, has 8"),
     ],
 )
-def test_what_does_not_fit_is_refused(tmp_path: Path, columns: dict[str, Floats], beside: str, told: str) -> None:
+def test_unsuitable_columns_are_refused(tmp_path: Path, columns: dict[str, Floats], beside: str, told: str) -> None:
     assert told in refused(write(tmp_path / "tap.csv", columns, beside))
 
 
-def test_faults_of_the_yaml_are_told_with_their_line(tmp_path: Path) -> None:
+def test_faults_of_the_yaml_file_are_reported_with_their_line(tmp_path: Path) -> None:
     path = write(tmp_path / "tap.csv", {"time_s": TIME_S, "z": TIME_S}, "rate_hz: fast\n")
     with pytest.raises(InvalidError, match=r"tap\.csv\.yaml:1:\d+: rate_hz: "):
         load(path)
@@ -206,7 +206,7 @@ def test_faults_of_the_yaml_are_told_with_their_line(tmp_path: Path) -> None:
         load(path)
 
 
-def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
+def test_damaged_and_missing_files_are_refused(tmp_path: Path) -> None:
     for name, content in (("a.npz", b"no archive"), ("a.wav", b"RIFFxxxx"), ("a.csv", b""), ("a.csv", b"\xff\xfe")):
         (tmp_path / name).write_bytes(content)
         Path(f"{tmp_path / name}.yaml").write_text("columns: {force: {column: 1}}\nrate_hz: 5000")
@@ -262,7 +262,7 @@ def test_csv_is_read_as_people_write_it(tmp_path: Path, content: bytes) -> None:
     assert found.force_n == pytest.approx([row[2] for row in ROWS])
 
 
-def test_units_in_the_file_are_taken_where_the_yaml_says_none(tmp_path: Path) -> None:
+def test_units_in_the_file_apply_if_the_yaml_file_gives_none(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["time_s,position_m,force_n", "s,mm,lbf", *lines()]))
     assert "unknown unit of force 'lbf', known: N, mN, kN: set the unit in " in refused(path)
@@ -289,7 +289,7 @@ def test_units_in_the_file_are_taken_where_the_yaml_says_none(tmp_path: Path) ->
         (b"\x1b[31m,\x07\n" * 40, "hold no numbers"),
     ],
 )
-def test_csv_that_is_none_is_refused(tmp_path: Path, content: bytes, told: str) -> None:
+def test_an_invalid_csv_is_refused(tmp_path: Path, content: bytes, told: str) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(content)
     text = refused(path)
@@ -382,14 +382,14 @@ def test_every_kind_of_wav(tmp_path: Path, kind: int, bits: int, extensible: boo
         (riff(3, 32, struct.pack("<f", float("nan")) * 40), "is NaN or infinite in 40 samples"),
     ],
 )
-def test_wav_that_is_none_is_refused(tmp_path: Path, content: bytes, told: str) -> None:
+def test_an_invalid_wav_is_refused(tmp_path: Path, content: bytes, told: str) -> None:
     path = tmp_path / "a.wav"
     path.write_bytes(content)
     Path(f"{path}.yaml").write_text("columns: {acceleration: {column: 1}}")
     assert told in refused(path)
 
 
-def test_a_rate_that_is_said_twice_is_one(tmp_path: Path) -> None:
+def test_a_rate_may_be_given_twice(tmp_path: Path) -> None:
     path = tmp_path / "a.wav"
     path.write_bytes(riff(1, 16, bytes(100)))
     Path(f"{path}.yaml").write_text("rate_hz: 2500\ncolumns: {acceleration: {column: 1}}")
@@ -404,7 +404,7 @@ def test_a_rate_that_is_said_twice_is_one(tmp_path: Path) -> None:
     [(0.0, 25_000, 6), (1e5, 25_000, 6), (1.7e9, 25_000, 6), (0.0, 24_414, 6), (0.0, 44_100, 5), (1e5, 3_000, 4)],
 )
 def test_rounded_times_are_a_uniform_clock(tmp_path: Path, begin_s: float, rate_hz: int, places: int) -> None:
-    """What is rounded is not jitter: samples stay as they are, and the rate is the whole one."""
+    """Rounding is not jitter: samples stay unchanged, and the rate is the integer one."""
     time_s = begin_s + np.arange(5000) / rate_hz
     rows = "".join(f"{t:.{places}f},{float(a)!r}\n" for t, a in zip(time_s, wave(time_s - begin_s), strict=True))
     path = tmp_path / "a.csv"
@@ -429,7 +429,7 @@ def test_times_that_are_rounded_too_far_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_clock_may_wander_and_a_position_is_none(tmp_path: Path) -> None:
+def test_a_clock_may_drift_and_a_position_is_not_a_clock(tmp_path: Path) -> None:
     time_s = np.arange(20_000) / RATE_HZ
     wandering = time_s + 2e-3 * np.sin(2 * np.pi * 0.3 * time_s)
     path = write(tmp_path / "a.csv", {"time_s": wandering, "force_n": wave(wandering)})
@@ -466,7 +466,7 @@ def test_numbers_that_cannot_be_are_refused(tmp_path: Path) -> None:
 # ---- Files that are none -------------------------------------------------------------------------------------------
 
 
-def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+def test_special_files_are_refused_without_blocking(tmp_path: Path) -> None:
     (tmp_path / "folder.csv").mkdir()
     assert "is a folder" in refused(tmp_path / "folder.csv")
     os.mkfifo(tmp_path / "pipe.csv")
@@ -478,7 +478,7 @@ def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
     assert f"is larger than {MAX_RECORDING_BYTES} bytes" in refused(tmp_path / "sparse.npz")
 
 
-def test_a_yaml_that_cannot_be_read_is_not_none(tmp_path: Path) -> None:
+def test_an_unreadable_yaml_file_is_an_error(tmp_path: Path) -> None:
     path = write(tmp_path / "tap.csv", {"time_s": TIME_S, "force_n": TIME_S})
     beside = Path(f"{path}.yaml")
     beside.symlink_to(tmp_path / "nowhere")
@@ -506,7 +506,7 @@ def test_a_yaml_that_cannot_be_read_is_not_none(tmp_path: Path) -> None:
         ("columns: {weight: {column: time_s}}", "should be 'time', 'acceleration', 'force', 'position'"),
     ],
 )
-def test_a_yaml_that_is_wrong_is_told(tmp_path: Path, beside: str, told: str) -> None:
+def test_an_invalid_yaml_file_is_reported(tmp_path: Path, beside: str, told: str) -> None:
     path = write(tmp_path / "tap.csv", {"time_s": TIME_S, "force_n": TIME_S}, beside)
     with pytest.raises(HapticdError) as error:
         load(path)
@@ -515,7 +515,7 @@ def test_a_yaml_that_is_wrong_is_told(tmp_path: Path, beside: str, told: str) ->
 
 @pytest.mark.long
 def test_damaged_files_are_read_or_refused_in_one_line(tmp_path: Path) -> None:
-    """Damage of many kinds: what is read is whole and finite, all else is told; nothing else happens."""
+    """Damage of many kinds: columns are read complete and finite, or an error is reported."""
     chance = random.Random(7)
     numbers = {"time_s": TIME_S, "acceleration_m_per_s2": wave(TIME_S), "force_n": TIME_S}
     np.savez_compressed(tmp_path / "a.npz", **numbers)  # type: ignore[arg-type]

@@ -10,8 +10,9 @@ from scipy import signal
 
 from hapticd.analysis.calibration import verify
 from hapticd.analysis.calibration.accelerometer import Recording
-from hapticd.analysis.calibration.sweep import Axis, Floats
-from hapticd.analysis.calibration.verify import Played, Strike, Verdict
+from hapticd.analysis.calibration.sweep import Axis
+from hapticd.analysis.calibration.verify import Comparison, Played, Strike
+from hapticd.analysis.statistics import Floats
 from hapticd.base.core import lib, pointer
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config
@@ -28,7 +29,7 @@ WOOD = Strike("wood", "tap", Mode(1 / 0.00648, 2 * math.pi * 67), 30.9)
 STEEL = Strike("steel", "tap", Mode(1 / 0.00032, 2 * math.pi * 1682), 169.2)
 
 
-def displayed(config: Config, *strikes: Strike) -> tuple[Played, list[Verdict]]:
+def displayed(config: Config, *strikes: Strike) -> tuple[Played, list[Comparison]]:
     played = verify.play(config, list(strikes), "y")
     return played, verify.from_simulation(config, played)
 
@@ -94,7 +95,7 @@ def wall_error_by_scipy(config: Config, force_n: Floats, stiffness_n_per_m: floa
 def test_a_tap_on_a_wall(name: str, compensation: str) -> None:
     exact = {"coulomb_friction_n": 0, "force_step_n": 0, "encoder_step_m": 0}
     config = load_config({"device": {"kind": "sim", "compensation": compensation, "sim": exact}})
-    verdict = next(each for each in verify.verdicts_on_walls(config) if each.strike.material == name)
+    verdict = next(each for each in verify.compare_on_walls(config) if each.strike.material == name)
     count = round((5 / verdict.strike.mode.decay_rate_per_s + verify.SIMULATION_TAIL_S) * 10_000)
     force = verify.tap_force(config, name, 0.1, count)[:, 1]
     expected = wall_error_by_scipy(config, force, 800.0, verdict.strike)
@@ -110,23 +111,23 @@ def test_a_tap_along_the_wall_does_not_meet_it(axis: Axis) -> None:
     it = load_config({"materials": {"it": {"stiffness_n_per_m": 800, "tap": tap}}}).materials["it"]
     config = config_of().model_copy(update={"materials": {"it": it}})
     _, (free,) = displayed(config, *verify.strikes_of(config.materials))
-    (walled,) = verify.verdicts_on_walls(config, axis=axis)
+    (walled,) = verify.compare_on_walls(config, axis=axis)
     assert walled.error == pytest.approx(free.error, rel=1e-4)
 
 
-def test_taps_on_walls_are_told_of_what_pushes_and_is_carried() -> None:
+def test_taps_on_walls_are_compared_if_the_wall_pushes_and_the_mode_is_displayable() -> None:
     tap = {"attack_slope_per_s": 10, "frequency_hz": 100, "decay_time_s": 0.002}
     given = {"firm": {"stiffness_n_per_m": 500, "tap": tap}, "soft": {"stiffness_n_per_m": 0, "tap": tap}}
     known = load_config({"materials": given}).materials
     config = config_of(2000).model_copy(update={"materials": {name: known[name] for name in (*given, "steel")}})
-    told = {each.strike.material: each for each in verify.verdicts_on_walls(config)}
+    told = {each.strike.material: each for each in verify.compare_on_walls(config)}
     assert "soft" not in told and told["firm"].strike.use == "wall"
     assert (told["steel"].displayed_hz, told["steel"].error) == (None, 1.0)
-    sideways = {each.strike.material: each for each in verify.verdicts_on_walls(config, axis="x")}
+    sideways = {each.strike.material: each for each in verify.compare_on_walls(config, axis="x")}
     assert sideways["firm"].error == pytest.approx(told["firm"].error, rel=1e-9)
 
 
-def test_a_mass_alone_displays_what_it_is_told() -> None:
+def test_a_mass_alone_displays_modes_accurately() -> None:
     """Without a hand and damping, but for the hold of the force: half a period late."""
     free = {"mass_kg": 0, "stiffness_n_per_m": 0, "damping_n_s_per_m": 0}
     _, (verdict,) = displayed(config_of(handle_damping_n_s_per_m=0, hand=free), WOOD)
@@ -148,7 +149,7 @@ def test_a_strike_beyond_the_limit_is_weaker() -> None:
     assert verdict.force_n <= 0.3
 
 
-def test_what_the_rate_cannot_carry_is_silent() -> None:
+def test_a_mode_above_the_range_of_the_rate_is_silent() -> None:
     _, (wood, steel) = displayed(config_of(2000), WOOD, STEEL)
     assert wood.displayed_hz is not None
     assert (steel.displayed_hz, steel.force_n, steel.error, steel.strength) == (None, 0.0, 1.0, 0.0)
@@ -173,7 +174,7 @@ def test_an_attack_that_is_a_first_peak() -> None:
 
 
 def recording_of(config: Config, played: Played, rate_hz: float, scale: float = 1.0) -> Recording:
-    """What an accelerometer on the simulated handle hears: a clock of its own, and hiss."""
+    """The recording of an accelerometer on the simulated handle: a separate clock, and noise."""
     finer = 10
     force = np.repeat(played.force_n, finer, axis=0)
     motion: Floats = np.empty((len(force), 4))
@@ -188,7 +189,7 @@ def recording_of(config: Config, played: Played, rate_hz: float, scale: float = 
 
 
 @pytest.mark.long
-def test_a_recording_says_what_the_handle_did() -> None:
+def test_a_recording_shows_the_motion_of_the_handle() -> None:
     """The strikes of a light grip, where the onset that fits best is the onset."""
     grip = {"mass_kg": 0.005, "stiffness_n_per_m": 20, "damping_n_s_per_m": 0.3}
     config = config_of(hand=grip, handle_damping_n_s_per_m=0.1)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hapticd.analysis.calibration.verify import verdicts_on_walls
+from hapticd.analysis.calibration.verify import compare_on_walls
 from hapticd.base.core import EventKind, lib
 from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import load_config
@@ -138,7 +138,7 @@ def test_compensated_taps_are_displayed_as_those_of_one_mode(compensation: str) 
         one = {"attack_slope_per_s": SLOPE, "frequency_hz": hertz, "decay_time_s": decay_s}
         made = {"tuned": material(), "one": {**material(), "tap": one}}
         device = {"kind": "sim", "max_force_n": 100, "max_speed_m_per_s": 1000, "compensation": compensation, **HANDLE}
-        found = verdicts_on_walls(load_config({"device": device, "materials": made}), speed)
+        found = compare_on_walls(load_config({"device": device, "materials": made}), speed)
         error = {each.strike.material: each.error for each in found if each.strike.material in made}
         assert error["tuned"] < error["one"] + 0.02
 

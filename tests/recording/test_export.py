@@ -34,7 +34,7 @@ def a_recording(target: Path, samples: np.ndarray, events: list[dict[str, object
 
 
 @pytest.mark.long
-def test_mcap_is_what_its_own_reader_expects(tmp_path: Path) -> None:
+def test_the_reader_of_mcap_accepts_the_export(tmp_path: Path) -> None:
     given = some(12_000)
     given["tick"] += np.uint64(2**53)
     given["position_m"] = np.random.default_rng(1).standard_normal((12_000, 2))

@@ -12,7 +12,7 @@ RATE_HZ = 3000.0
 
 
 def samples(periods: list[int], rate_hz: float = RATE_HZ) -> np.ndarray:
-    """One tick after another, with so many periods from one to the next; deadlines are whole nanoseconds."""
+    """Successive ticks with these numbers of periods between them; deadlines are integer nanoseconds."""
     made = records(SAMPLE_DTYPE, len(periods))
     made["tick"] = np.arange(len(periods))
     made["time_ns"] = np.rint(np.cumsum(periods) * (1e9 / rate_hz)) + 10**15
@@ -28,7 +28,7 @@ def test_each_period_without_a_tick_counts() -> None:
     assert missed_periods(made[:3], RATE_HZ) + missed_periods(made[3:], RATE_HZ, before) == 102
 
 
-def test_what_was_missed_before_the_first_sample_is_not_the_recordings() -> None:
+def test_periods_missed_before_the_first_sample_do_not_count() -> None:
     assert missed_periods(samples([50, 1, 1]), RATE_HZ) == 0
 
 
@@ -55,6 +55,6 @@ def test_rates_are_those_of_the_revisions() -> None:
     assert missed_periods(slow, np.full(4, 1500.0)) == 1
 
 
-def test_the_share_is_of_what_was_due() -> None:
+def test_the_share_is_relative_to_all_periods() -> None:
     assert share(7562, 32438) == pytest.approx(0.18905)
     assert share(0, 0) == 0.0

@@ -1,4 +1,4 @@
-"""What is said of files that are damaged or no recordings, and how little memory a recording takes."""
+"""Errors of files that are damaged or not recordings, and the memory that a recording takes."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_a_changed_byte_is_noticed(tmp_path: Path, at: float) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 and so on", b"tick,time_ns\n1", b"\x89MCAP0\r\n\x01"])
-def test_what_is_no_recording_is_one_line(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_recording_is_an_error_of_one_line(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.npz").write_bytes(content)
     assert refusal(tmp_path / "a.npz") == "a.npz: damaged, or not a recording of hapticd: File is not a zip file"
     assert refusal(tmp_path / "b.npz") == "b.npz: No such file or directory"

@@ -1,4 +1,4 @@
-"""`hapticd.load`: what a recording holds."""
+"""`hapticd.load`: the content of a recording."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def write(target: Path, recording: object = RECORDING) -> Path:
     return target
 
 
-def test_what_was_written_is_there(tmp_path: Path) -> None:
+def test_written_data_are_loaded(tmp_path: Path) -> None:
     recording = hapticd.load(write(tmp_path / "run.npz"))
     assert isinstance(recording, hapticd.Recording)
     assert recording.samples.tobytes() == some(20).tobytes()
@@ -118,7 +118,7 @@ def test_without_pandas_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("ended", [None, "stopped"])
 def test_files_of_before_are_read(tmp_path: Path, ended: str | None) -> None:
-    """`recording.ended` was the reason, nothing said how many periods were missed."""
+    """`recording.ended` was the reason; the number of missed periods was not stored."""
     recording = hapticd.load(write(tmp_path / "run.npz", {"ticks": 20, "ended": ended}))
     assert (recording.ended, recording.ended_because, recording.started, recording.notes) == (None, ended, None, {})
     assert recording.missed_periods == 0

@@ -1,4 +1,4 @@
-"""Recordings that were killed, or whose file could not be written: the files that are made of what they left."""
+"""Recordings whose process was killed, or whose file could not be written: recovery from their partial files."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def record_until_killed(target: Path, samples: np.ndarray, when: str = "while it
 
 @pytest.mark.parametrize("when", ["while it records", "while it is finished"])
 @pytest.mark.parametrize("torn", [b"", b"123,4"])
-def test_what_a_killed_recording_left_is_recovered(tmp_path: Path, torn: bytes, when: str) -> None:
+def test_partial_files_of_a_killed_recording_are_recovered(tmp_path: Path, torn: bytes, when: str) -> None:
     target = tmp_path / "run.npz"
     target.write_text("an old recording")
     given = noisy(20_000, 0)
@@ -70,7 +70,7 @@ def test_what_a_killed_recording_left_is_recovered(tmp_path: Path, torn: bytes, 
 
 
 @pytest.mark.long
-def test_what_killed_recordings_left_gets_a_name_of_its_own(tmp_path: Path) -> None:
+def test_each_recovered_recording_gets_a_free_name(tmp_path: Path) -> None:
     target = tmp_path / "run[1].npz"
     for _ in range(2):
         record_until_killed(target, some(100))
@@ -104,7 +104,7 @@ def test_a_part_that_was_removed_ends_the_recording_at_once(tmp_path: Path) -> N
     assert os.listdir(tmp_path) == []
 
 
-def test_what_cannot_get_its_name_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_that_cannot_be_renamed_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
@@ -192,7 +192,7 @@ def test_a_damaged_part_stops_no_recording_and_shows_nothing(
             load(line)
 
 
-def test_what_is_left_stays_where_the_disk_takes_no_file_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_partial_files_stay_if_the_disk_has_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

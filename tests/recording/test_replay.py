@@ -1,4 +1,4 @@
-"""Recordings rendered again: a run without clock is the recording, and what it was is known to the bit."""
+"""Recordings rendered again: a recording made by an offline run is reproduced to the bit."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def write(
     *changes: Mapping[str, Any],
     texts: Mapping[str, Any] | None = None,
 ) -> None:
-    """A recording as `hapticd record` makes it, of what somebody else rendered."""
+    """A recording as `hapticd record` writes it, of given samples."""
     whole = load_config(config)
     with RecordingWriter(target, overwrite=True) as writer:
         writer.begin(
@@ -69,7 +69,7 @@ def rewrite(path: Path, name: str, value: object) -> None:
 
 
 def strokes(seconds: float, seed: int = 1) -> np.ndarray:
-    """A smooth way in and out of what lies at y = 0."""
+    """A smooth path into and out of an object at y = 0."""
     time = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     phase = np.random.default_rng(seed).uniform(0, 6, 4)
     x = 0.02 * np.sin(7 * time + phase[0]) + 0.01 * np.sin(19 * time + phase[1])
@@ -90,7 +90,7 @@ def test_every_shipped_scene_comes_out_bit_for_bit(tmp_path: Path, scene: Path) 
         assert again.samples[name].tobytes() == again.recorded[name].tobytes(), name
     with np.load(tmp_path / "run.npz") as file:
         recorded = [(str(event["event"]), int(event["tick"])) for event in file["events"]]
-    # What the hand was told to do is no matter of the tick.
+    # The operator does not affect the tick.
     recorded = [event for event in recorded if event[0] != "gesture_end"]
     assert [(event["event"], event["tick"]) for event in again.events] == recorded
 
@@ -131,8 +131,8 @@ def test_jumps_of_the_position_are_those_of_the_recording(tmp_path: Path) -> Non
     assert speeds == pytest.approx(steps * RATE_HZ)
 
 
-def test_the_link_of_a_real_device_decides_what_it_can_display(tmp_path: Path) -> None:
-    """At 1000 forces a second glass is lowered; what was struck is what the daemon struck at this link."""
+def test_the_link_of_a_real_device_limits_the_displayed_frequencies(tmp_path: Path) -> None:
+    """At 1000 forces a second glass is lowered; the replay strikes the mode that the daemon struck at this link."""
     config = {"device": {"kind": "hid"}, "scene": {"objects": {"floor": {**FLOOR, "material": "glass"}}}}
     whole = load_config(config)
     rerun = Rerun(output_of(whole, RATE_HZ, 1000.0), 1)
@@ -149,7 +149,7 @@ def test_the_link_of_a_real_device_decides_what_it_can_display(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("begin", [0, 60])
-def test_the_force_of_a_check_of_signs_is_as_recorded_and_none_of_the_scene(tmp_path: Path, begin: int) -> None:
+def test_the_force_of_a_check_of_signs_is_as_recorded_without_the_scene(tmp_path: Path, begin: int) -> None:
     """A constant force of the scene comes in over the ramp once the check is over."""
     config = {"device": {"kind": "hid"}, "scene": {"objects": {"push": PUSH}}}
     whole = load_config(config)
@@ -265,7 +265,7 @@ def test_scene_materials_and_commands_change_where_they_did(tmp_path: Path) -> N
             assert first is not None and tick <= first < tick + 100
 
 
-def test_it_begins_where_nothing_is_left_of_what_was_before(tmp_path: Path) -> None:
+def test_a_replay_begins_at_a_tick_without_effects_of_earlier_ticks(tmp_path: Path) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     run = render_run(config, strokes(1.0), RATE_HZ)
     flags = run.samples["flags"]
@@ -280,14 +280,14 @@ def test_it_begins_where_nothing_is_left_of_what_was_before(tmp_path: Path) -> N
     assert again.identical == len(again.samples) == len(flags) - expected
 
 
-def test_without_such_a_tick_all_of_it_is_rendered_and_said_so(tmp_path: Path) -> None:
+def test_without_a_settled_tick_the_entire_recording_is_rendered_and_reported(tmp_path: Path) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     inside = np.column_stack([np.zeros(2000), np.full(2000, -0.001)])
     run = render_run(config, inside, RATE_HZ)
     write(tmp_path / "run.npz", run.samples[1000:], config)
     again = replay(tmp_path / "run.npz")
     assert not again.settled and len(again.samples) == 1000
-    # What was pressed is met anew, and its force comes in over the ramp: 200 ticks.
+    # The pressed object is touched again, and its force rises over the ramp: 200 ticks.
     different = np.flatnonzero((again.samples["force_n"] != again.recorded["force_n"]).any(axis=1))
     assert 190 <= len(different) <= 200 and different[-1] <= 200
     assert "each has a contact, a ringing mode or a ramp" in again.summary()
@@ -307,7 +307,7 @@ def test_it_begins_anew_after_a_gap_and_after_a_fault(tmp_path: Path) -> None:
     assert {2600 + 7000, 5200 + 4000} < ticks
 
 
-def test_ticks_with_a_streamed_force_are_left_out_and_told(tmp_path: Path) -> None:
+def test_ticks_with_a_streamed_force_are_left_out_and_reported(tmp_path: Path) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     samples = render_run(config, strokes(1.0), RATE_HZ).samples
     end = 4000 + 10 + int(np.argmax(samples["flags"][4000:] & Flag.CONTACT != 0))
@@ -338,7 +338,7 @@ def test_forces_that_were_off_are_off(tmp_path: Path) -> None:
     assert not again.samples["force_n"].any()
 
 
-def test_a_difference_is_measured_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_difference_is_measured_and_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     samples = render_run(config, strokes(0.4), RATE_HZ).samples
     samples["force_n"][700] += [0.03, 0.04]
@@ -369,7 +369,7 @@ def test_the_command_and_the_function(tmp_path: Path, capsys: pytest.CaptureFixt
     ("left_out", "told"),
     [("config", "no config"), ("scene", "no scene"), ("materials", "no materials"), ("changes", "no changes")],
 )
-def test_what_does_not_say_what_it_was_rendered_with(tmp_path: Path, left_out: str, told: str) -> None:
+def test_a_recording_without_a_needed_text_is_refused(tmp_path: Path, left_out: str, told: str) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     samples = render_run(config, strokes(0.1), RATE_HZ).samples
     write(tmp_path / "run.npz", samples, config)
@@ -390,7 +390,7 @@ def test_what_does_not_say_what_it_was_rendered_with(tmp_path: Path, left_out: s
         ("changes", [7], "TypeError"),
     ],
 )
-def test_what_says_it_wrongly_is_one_line(tmp_path: Path, part: str, value: object, told: str) -> None:
+def test_an_invalid_text_is_an_error_of_one_line(tmp_path: Path, part: str, value: object, told: str) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     samples = render_run(config, strokes(0.1), RATE_HZ).samples
     write(tmp_path / "run.npz", samples, config)
@@ -418,7 +418,7 @@ def replace_ticks(samples: np.ndarray) -> np.ndarray:
 
 
 def test_a_step_down_is_rendered_at_both_rates(tmp_path: Path) -> None:
-    """The second half is what a run of its own gives at its rate; its first ticks ring on from before."""
+    """The second half equals a separate run at its rate; in its first ticks earlier modes still ring."""
     config = {"scene": {"objects": {"floor": FLOOR}}}
     positions = strokes(1.0)
     fast = render_run(config, positions[:5000], RATE_HZ).samples
@@ -435,14 +435,14 @@ def test_a_step_down_is_rendered_at_both_rates(tmp_path: Path) -> None:
     ticks = again.samples["tick"]
     assert set(ticks.tolist()) >= set(range(5000)) and (ticks >= 5000).sum() > 2000
     assert again.identical == len(again.samples)
-    # As if nobody had said so.
+    # Without the new rate in the recording, the forces differ.
     write(target, samples, config, {"revision": 2}, texts={"status": status})
     again = replay(target)
     assert again.first_different is not None and again.first_different >= 5000
 
 
 @pytest.mark.parametrize("rate_hz", ["fast", 0.0, -1.0, 1e300, None, [5000]])
-def test_a_rate_that_is_none_is_refused(tmp_path: Path, rate_hz: object) -> None:
+def test_an_invalid_rate_is_refused(tmp_path: Path, rate_hz: object) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     run = render_run(config, strokes(0.1), RATE_HZ)
     run.samples["revision"][500:] = 2

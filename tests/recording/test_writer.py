@@ -1,4 +1,4 @@
-"""Recordings: written whole or not at all, on full disks, and by processes that are killed."""
+"""Recordings: written completely or not at all, on full disks, and by processes that are killed."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def event_array(events: Sequence[Mapping[str, object]]) -> np.ndarray:
     return np.concatenate(stretches) if stretches else np.zeros(0, dtype_of(columns))
 
 
-def test_npz_gives_back_what_was_written(tmp_path: Path) -> None:
+def test_npz_gives_back_the_written_data(tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with RecordingWriter(target) as writer:
         writer.write(some(4))
@@ -91,7 +91,7 @@ def test_without_events(tmp_path: Path) -> None:
         assert archive["events"].dtype == np.dtype([("event", "<U1"), ("tick", "<i8"), ("time_ns", "<i8")])
 
 
-def test_what_fails_leaves_nothing_and_changes_nothing(tmp_path: Path) -> None:
+def test_a_failed_recording_leaves_no_file_and_changes_none(tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     target.write_text("precious")
     with pytest.raises(RuntimeError), RecordingWriter(target, overwrite=True) as writer:
@@ -151,7 +151,7 @@ def test_the_target_of_a_link_is_replaced_not_the_link(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_no_regular_file_is_refused(tmp_path: Path, kind: str, overwrite: bool) -> None:
+def test_a_target_that_is_not_a_regular_file_is_refused(tmp_path: Path, kind: str, overwrite: bool) -> None:
     (tmp_path / "linked").mkdir()
     special(tmp_path / "run.npz", kind)
     (tmp_path / "linked" / "run.npz").symlink_to(tmp_path / "run.npz")
@@ -163,7 +163,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path, kind: str, overwrite
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_no_regular_file_and_appears_meanwhile_keeps_its_name(tmp_path: Path, kind: str) -> None:
+def test_a_special_file_that_appears_meanwhile_keeps_its_name(tmp_path: Path, kind: str) -> None:
     target, next_free = tmp_path / "run.npz", tmp_path / "run-3.npz"
     with RecordingWriter(target, overwrite=True) as writer:
         writer.write(some(3))
@@ -176,7 +176,7 @@ def test_what_is_no_regular_file_and_appears_meanwhile_keeps_its_name(tmp_path: 
     assert load(next_free).samples.tobytes() == some(3).tobytes()
 
 
-def test_unwritable_targets_are_told_before_anything_is_written(tmp_path: Path) -> None:
+def test_unwritable_targets_are_reported_before_anything_is_written(tmp_path: Path) -> None:
     (tmp_path / "directory.npz").mkdir()
     for target, told in (
         (tmp_path / "run.txt", "must end in .npz, .csv or .mcap"),
@@ -214,7 +214,7 @@ def limited_files(size: int) -> Iterator[None]:
 
 
 def fill(target: Path) -> tuple[np.ndarray, int]:
-    """Records until the disk is full, and finishes; what was given, and how much of it is said to be in the file."""
+    """Records until the disk is full, and finishes; returns the given samples and the number reported as written."""
     given = []
     with RecordingWriter(target) as writer:
         writer.begin({"scene": {"objects": {}}})
@@ -235,14 +235,14 @@ def noisy(count: int, first: int) -> np.ndarray:
     return samples
 
 
-def test_on_a_full_disk_what_was_recorded_is_kept(tmp_path: Path) -> None:
+def test_on_a_full_disk_the_recorded_samples_are_kept(tmp_path: Path) -> None:
     with small_disk(tmp_path / "disk", "4m") as disk:
         given, count = fill(disk / "run.npz")
         check_kept(disk / "run.npz", given, count)
         assert not [name for name in os.listdir(disk) if name.startswith(".")]
 
 
-def test_what_a_file_may_hold_at_most_is_kept(tmp_path: Path) -> None:
+def test_at_the_size_limit_of_a_file_the_recorded_samples_are_kept(tmp_path: Path) -> None:
     with limited_files(2_500_000):
         given, count = fill(tmp_path / "run.npz")
     check_kept(tmp_path / "run.npz", given, count)
@@ -286,7 +286,7 @@ def test_numpy_and_zipfile_find_nothing_wrong_with_an_archive(tmp_path: Path) ->
 
 
 def test_every_bit_comes_back(tmp_path: Path) -> None:
-    """Also whole numbers beyond 2^53, and whatever a double can be."""
+    """Also integers beyond 2^53, and all values of a double."""
     samples = some(500)
     samples["tick"] += np.uint64(2**63)
     samples["time_ns"] += 2**62 + 1
@@ -383,7 +383,7 @@ def test_one_long_mark_does_not_make_a_file_large(tmp_path: Path) -> None:
         assert file["events"]["text"][0] == "x" * 1000
 
 
-def test_columns_do_not_depend_on_what_else_there_is() -> None:
+def test_columns_do_not_depend_on_other_events() -> None:
     array = event_array(EVENTS)
     for index, event in enumerate(EVENTS):
         alone = event_array([event])

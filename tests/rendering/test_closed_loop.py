@@ -70,7 +70,7 @@ def test_error_falls_with_the_first_order_of_the_period(loop: Loop) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("stiffness", rest_slow([400.0, 800.0, 2000.0]))
 def test_a_held_force_is_half_a_period_old(stiffness: float) -> None:
-    """K T/2 of negative damping explains the first order: what is left falls with the second, and is far smaller."""
+    """K T/2 of negative damping explains the first order: the rest is of second order, and far smaller."""
     loop = Loop(stiffness)
     left = [without_hold(loop, rate) for rate in RATES_HZ]
     assert order(RATES_HZ, left) == pytest.approx(2.0, abs=0.2)

@@ -1,4 +1,4 @@
-"""The compiler: slots, generations and versions of objects that come, stay, change and go; and what records say."""
+"""The compiler: slots, generations and versions of objects that are added, kept, changed and removed; records."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_slot_and_generation_stay_with_id_and_kind() -> None:
     assert again is not None
     assert again[1] != turned[1]
     for place in (a, turned):
-        assert compiler.name_of(*place) == "a"  # events of what has gone can still be told
+        assert compiler.name_of(*place) == "a"  # its events can still be named
 
 
 def test_free_slots_are_given_out_again_the_lowest_first() -> None:
@@ -109,7 +109,7 @@ def test_free_slots_are_given_out_again_the_lowest_first() -> None:
     assert table.object_count == 101
 
 
-def test_a_whole_scene_replaced_takes_no_more_room() -> None:
+def test_replacing_all_objects_of_a_scene_needs_no_more_slots() -> None:
     taken = Taken()
     full = scene(**{f"a{i}": WALL for i in range(3000)})
     taken.take(full)
@@ -131,7 +131,7 @@ def gone(taken: Taken, *ids: str) -> list[tuple[int, int]]:
     return places
 
 
-def test_names_of_the_gone_are_kept_until_their_events_were_read_and_those_of_the_present_for_ever() -> None:
+def test_names_of_removed_objects_are_kept_until_their_events_are_read() -> None:
     taken = Taken()
     compiler = taken.compiler
     taken.take(scene(stays=WALL))
@@ -192,7 +192,7 @@ def versions(record: Any) -> tuple[int, int, int]:
         ({"point_m": [1, 0], "material": "glass"}, True, True),
     ],
 )
-def test_versions_say_what_changed(change: dict[str, object], place: bool, skin: bool) -> None:
+def test_versions_change_with_the_pose_and_the_surface(change: dict[str, object], place: bool, skin: bool) -> None:
     taken = Taken()
     table = taken.take(scene(a=WALL, b=WALL))
     before, other = versions(taken.object(table, "a")), bytes(ffi.buffer(table.objects + taken.slot("b"), 80))
@@ -211,7 +211,7 @@ def test_versions_of_patches() -> None:
     taken = Taken()
     table = taken.take(scene(a={**WALL, "patches": patches}))
     first = versions(taken.object(table, "a"))
-    # Moved as a whole: the skin is as it was, and its pieces are found where they were.
+    # Moved: surface and pieces are unchanged, and the pieces keep their place.
     parts = table.parts_version
     table = taken.take(scene(a={**WALL, "patches": patches, "point_m": [0, 1]}))
     assert table.parts_version == parts
@@ -253,7 +253,7 @@ def test_a_changed_material_reaches_all_that_is_made_of_it_and_nothing_else() ->
     assert changed(table) == {taken.slot(id) for id in "acd"}
     assert table.parts_version != parts
     assert table.materials[taken.object(table, "a").material].stiffness_n_per_m == 900
-    # The same again, read anew: nothing changed.
+    # The same scene, parsed again: nothing changed.
     taken.compiler.published()
     parts = table.parts_version
     table = taken.compiler.update(scene(**objects), (), library(own={"stiffness_n_per_m": 900}), 3)
@@ -279,7 +279,7 @@ def test_changes_add_up_until_they_are_published() -> None:
     assert not table.all_changed
 
 
-def test_what_was_refused_is_as_it_was_before() -> None:
+def test_a_refused_update_leaves_the_table_unchanged() -> None:
     """Slots and generations too: the servo still has the contacts of these objects."""
     taken = Taken()
     materials = library(own=PLAIN)
@@ -330,7 +330,7 @@ def test_shapes() -> None:
 
 
 @pytest.mark.long
-def test_pieces_say_what_a_wall_is_made_of_everywhere() -> None:
+def test_pieces_name_the_material_at_every_point_of_a_wall() -> None:
     """Against the patches themselves, at every place that is not in a ramp; and every ramp as wide as it may be."""
     rng = random.Random(3)
     names = ["wood", "glass", "steel", "delrin"]

@@ -21,7 +21,7 @@ K, RADIUS, MU, SPRING = 800.0, 0.002, 0.35, 600.0
 PACE = 24.0
 """How much faster than the probe the proxy goes at most."""
 WHOLE, BARE = 0.5, 0.2
-"""From so far out, in radii, geometry and friction are whole; so near to the centre there is nothing of them."""
+"""Distances from the centre, in radii, beyond which geometry and friction act fully, and within which not at all."""
 SPACING, WIDTH, LOWERED = 0.0005, 0.0004, 0.0001
 GROOVES = {"kind": "grooves", "spacing_m": SPACING, "width_m": WIDTH}
 FRICTION = {"coefficient": MU, "stiffness_n_per_m": SPRING}
@@ -142,7 +142,7 @@ def ways(rng: np.random.Generator, count: int, centred: bool) -> Points:
 @pytest.mark.parametrize("centred", [True, False], ids=["through the centre", "around it"])
 @pytest.mark.parametrize("material", ["plain", "rough", "shaped", "both"])
 def test_no_closed_way_gives_energy(material: str, centred: bool) -> None:
-    """Quasi-static: what is given goes to zero with the square of the step, of the 1.6 mJ that the disc can store."""
+    """Quasi-static: the energy gained falls to zero with the square of the step; the disc can store 1.6 mJ."""
     rng = np.random.default_rng(4)
     given: list[list[float]] = []
     for _ in range(3):
@@ -178,8 +178,8 @@ def stored(p: Points, anchor: float) -> npt.NDArray[np.float64]:
     return found
 
 
-def test_sticking_on_shaped_ground_the_force_is_the_slope_of_what_is_stored() -> None:
-    """At depths of all kinds, through the whole of the fade."""
+def test_sticking_on_shaped_ground_the_force_is_the_gradient_of_the_stored_energy() -> None:
+    """At all depths, through the complete fade."""
     rng = np.random.default_rng(1)
     bearing = 0.9
     for _ in range(30):
@@ -201,7 +201,7 @@ def test_sticking_on_shaped_ground_the_force_is_the_slope_of_what_is_stored() ->
 
 
 def test_sliding_deep_friction_is_mu_of_the_normal_force_at_the_rim() -> None:
-    """R/r mu F_n where it is whole, g of that deeper, and none in the middle; the radial part is what is stored."""
+    """R/r mu F_n where it acts fully, times g deeper, zero in the middle; the radial part is from stored energy."""
     for close in (0.95, 0.7, 0.5, 0.4, 0.3, 0.21, 0.19, 0.1):
         rig = peg("rough")
         force(rig, straight((0, 1.1 * RADIUS), (0, close * RADIUS), 1e-6))
@@ -246,7 +246,7 @@ def test_grooves_sound_however_deep_they_are_stroked(close: float) -> None:
 
 
 @pytest.mark.long
-def test_through_the_whole_disc_no_material_makes_a_step() -> None:
+def test_on_a_path_through_the_disc_no_material_causes_a_step() -> None:
     """A step of the force is of the order of the step of the probe, on every way: it halves with it."""
     for material in ("plain", "rough", "shaped", "both"):
         largest: list[float] = []

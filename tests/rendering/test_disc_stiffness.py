@@ -1,4 +1,4 @@
-"""How stiff discs are at depth: bounds on the second derivatives of what they store, by difference quotients."""
+"""Stiffness of discs at depth: bounds of the second derivatives of the stored energy, by difference quotients."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def stiffness(p: npt.NDArray[np.float64], material: np.void, radius: float, anch
 
 
 @pytest.mark.long
-def test_no_place_of_a_disc_is_stiffer_than_it_is_said_to_be() -> None:
+def test_no_point_of_a_disc_is_stiffer_than_the_bound() -> None:
     """Random discs, random places up to 1 N deep, stuck within mu F_n: the form is nowhere above the bound."""
     rng = np.random.default_rng(3)
     nearest = 0.0

@@ -98,7 +98,7 @@ def test_undisplayable_modes_by_use() -> None:
     assert undisplayable({}, output()) == []
 
 
-def test_a_texture_is_lowered_as_a_whole() -> None:
+def test_peak_and_mean_of_a_texture_are_lowered_together() -> None:
     texture = library(m={"texture": {**GRIT, "peak_hz": 450, "mean_hz": 480}})["m"].texture
     assert isinstance(texture, Stochastic)
     assert displayed_pair(texture, output()) is None
@@ -178,7 +178,7 @@ def test_a_pair_that_is_not_met_is_named_as_shown() -> None:
     }
 
 
-def test_what_is_muted_is_not_warned_of_as_well() -> None:
+def test_a_muted_texture_causes_no_warning() -> None:
     assert told({**GRIT, "peak_hz": 450, "mean_hz": 100}, output()) == {}
     assert list(told({**GRIT, "peak_hz": 450, "mean_hz": 100}, output(rest="lower"))) == ["mean_hz"]
 
@@ -187,7 +187,7 @@ def poles(radius: float, angle: float) -> list[float]:
     return [-2 * radius * math.cos(angle), radius**2]
 
 
-def test_power_that_is_lost_is_told_of_the_worst_model() -> None:
+def test_lost_power_is_reported_for_the_worst_model() -> None:
     """The fraction above half the servo rate, integrated over scipy's spectrum."""
     rate_hz, shown_hz = 5000.0, 2000.0
     radius, angle = 0.9, 2 * math.pi * 900 / rate_hz
@@ -217,7 +217,7 @@ def test_power_that_is_lost_is_told_of_the_worst_model() -> None:
     assert told(texture, output(5000)) == told(texture, output(10_000)) == {}
 
 
-def test_little_loss_is_not_told() -> None:
+def test_a_small_loss_is_not_reported() -> None:
     texture: Keys = {
         "kind": "autoregressive",
         "rate_hz": 5000,
@@ -229,7 +229,7 @@ def test_little_loss_is_not_told() -> None:
     assert told(texture, output(4000)) == {}
 
 
-def test_a_spectrum_that_is_not_met_is_told_with_its_error() -> None:
+def test_a_deviating_spectrum_is_reported_with_its_error() -> None:
     """Sixteen sharp resonances below 500 Hz, shown at ten times their rate with 32 coefficients; scipy's spectra."""
     angles = np.linspace(0.2, 2.9, 16)
     roots = 0.985 * np.exp(1j * angles)
@@ -275,7 +275,7 @@ def test_behind_a_link_its_rate_counts_if_it_is_lower(rest: str) -> None:
         assert displayed_mode(mode, linked) == displayed_mode(mode, slow)
         fast = output(10_000, rest, 20_000)
         assert displayed_mode(mode, fast) == displayed_mode(mode, output(10_000, rest))
-    # A filter runs at the rate of the servo: half of that is what is refused.
+    # A filter runs at the rate of the servo: frequencies from half of it on are refused.
     high = library(m={"texture": {**GRIT, "peak_hz": 600, "mean_hz": 700}})
     assert rate_faults(objects(a="m"), high, linked) == []
 
@@ -301,7 +301,7 @@ def above(coefficients: list[float], from_hz: float, rate_hz: float) -> float:
 
 
 @pytest.mark.parametrize("link_hz", [1000.0, 500.0])
-def test_noise_above_what_a_link_carries_is_told(link_hz: float) -> None:
+def test_noise_above_the_range_of_a_link_is_reported(link_hz: float) -> None:
     shown = stochastic_filter(160, 210, 10_000)
     assert shown.taps is None
     lost = above(list(coefficients_of(shown.reflection)), 0.4 * link_hz, 10_000)
@@ -314,7 +314,7 @@ def test_noise_above_what_a_link_carries_is_told(link_hz: float) -> None:
     assert told(GRIT, output(10_000)) == told(GRIT, output(10_000, link_rate_hz=10_000)) == {}
 
 
-def test_models_above_what_a_link_carries_are_told_of_the_worst() -> None:
+def test_power_above_the_range_of_a_link_is_reported_for_the_worst_model() -> None:
     rate_hz = 5000.0
     low, high = poles(0.98, 2 * math.pi * 100 / rate_hz), poles(0.98, 2 * math.pi * 480 / rate_hz)
     texture: Keys = {
@@ -353,7 +353,7 @@ def test_narrow_patches_and_gaps() -> None:
     assert found(patch(0, 0.0005), patch_ramp_m=0.0005) == []
 
 
-def test_only_what_is_used_is_told_and_once() -> None:
+def test_only_used_materials_are_reported_and_once() -> None:
     materials = library(comb={"texture": {**STRIKES, **MODE}}, idle={"texture": {**STRIKES, **MODE}})
     box: Keys = {"kind": "box", "center_m": [0, 0], "size_m": [0.01, 0.01], "material": "comb"}
     many = scene(**{f"o{i}": box for i in range(1000)})

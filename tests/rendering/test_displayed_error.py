@@ -125,7 +125,7 @@ def burst(frequency_hz: float, sample_rate_hz: float = 8000.0) -> Floats:
     return bell
 
 
-def test_band_error_of_what_is_known() -> None:
+def test_band_error_of_known_signals() -> None:
     tone = burst(200.0)
     assert band_error(tone, tone, 8000.0) == 0
     assert band_error(0.9 * tone, tone, 8000.0) == pytest.approx(0.1, rel=1e-12)
@@ -140,10 +140,10 @@ def test_band_error_of_what_is_known() -> None:
     assert band_error(tone + other, tone, 8000.0, 300.0, 500.0) > 1e9
 
 
-def test_band_error_refuses_what_has_none() -> None:
-    with pytest.raises(ValueError, match="one shape"):
+def test_band_error_refuses_signals_without_a_band_error() -> None:
+    with pytest.raises(ValueError, match="equal shapes"):
         band_error(np.zeros(3), np.zeros(4), 8000.0)
-    with pytest.raises(ValueError, match="one shape"):
+    with pytest.raises(ValueError, match="equal shapes"):
         band_error(np.zeros((3, 2)), np.zeros((3, 2)), 8000.0)
     with pytest.raises(ValueError, match="no energy from 30 to 3200 Hz"):
         band_error(np.ones(100), np.zeros(100), 8000.0)
@@ -185,7 +185,7 @@ def test_spectra_agree_with_the_motion(grip: str, compensation: Compensation, ra
 
 @pytest.mark.long
 @pytest.mark.parametrize("grip", GRIPS)
-def test_what_is_required(grip: str) -> None:
+def test_the_largest_displayed_errors_meet_the_requirement(grip: str) -> None:
     """At most 13 % at 10 kHz, for every material; the soft ones, which have room for a tail, within 5 %."""
     for name, mode in library().items():
         error = displayed_error(mode, held(grip), RATE, "full")
@@ -200,7 +200,7 @@ def test_what_is_required(grip: str) -> None:
 
 @pytest.mark.parametrize("name", rest_slow(library()))
 def test_the_pole_is_displayed_exactly_once_it_moves(name: str) -> None:
-    """Driven by F_k = C exp(p k T) since ever, the acceleration is exp(p t) and what lies multiples of the rate away.
+    """Driven by F_k = C exp(p k T) for all k, the acceleration is exp(p t) plus terms multiples of the rate away.
 
     Its part at p, the mean of a(t) exp(-p t) over a period, is integrated here from scipy's solution of the held force.
     """
@@ -250,7 +250,7 @@ def sounding(shape_mode: Ringing, tail: Ringing | None, time: Floats) -> Floats:
 
 @pytest.mark.long
 def test_no_force_beyond_the_bound() -> None:
-    """Random modes, devices and rates: brute force over onsets within the tick finds nothing above the peak told,
+    """Random modes, devices and rates: brute force over onsets within the tick finds nothing above the stated peak,
     and that is at most 2."""
     rng = np.random.default_rng(7)
     limited = 0
@@ -353,7 +353,7 @@ def test_strikes_that_follow_one_another_add() -> None:
     assert np.array_equal(np.flatnonzero(both)[[0, -1]], [100, 140 + 823])
 
 
-def test_a_strike_beyond_the_limit_is_scaled_whole() -> None:
+def test_a_strike_beyond_the_limit_is_scaled_with_all_its_parts() -> None:
     _, free = tapped("wood", 1e-6 / RATE, 1200, compensation="full")
     rig, narrow = tapped("wood", 1e-6 / RATE, 1200, compensation="full", max_force_n=0.1)
     (event,) = rig.of(EventKind.CONTACT)
@@ -374,7 +374,7 @@ def test_off_is_one_pole_and_the_effective_mass() -> None:
 
 @pytest.mark.parametrize("compensation", ["mass", "full"])
 def test_a_slow_link_is_the_hold(compensation: Literal["mass", "full"]) -> None:
-    """The force changes with the frames: what is made up for is theirs."""
+    """The force changes with the frames of the link, so the hold of a frame is compensated."""
     link = {"device": {"compensation": compensation, "sim": {"link": {"rate_hz": 1000}}}}
     config = load_config(link)
     material = shipped_materials()["wood"]
@@ -396,7 +396,7 @@ def test_a_real_joystick_needs_its_handle() -> None:
     assert load_config({"device": {"kind": "hid", "compensation": "full", "handle": {"mass_kg": 0.1}}}).device.dynamics
 
 
-def test_what_would_need_too_much_force_is_told() -> None:
+def test_a_mode_that_needs_too_much_force_is_reported() -> None:
     """Ten cycles a second against the spring of a fist."""
     config: dict[str, Any] = {
         "device": {

@@ -102,7 +102,7 @@ def test_the_shipped_sandpapers_do_not_drive_the_default_hand(material: str) -> 
     assert not warned_of_noise({"scene": {"objects": {"it": {**FLOOR, "material": material}}}})
 
 
-def test_noise_on_what_hardly_pushes_is_looked_at_too() -> None:
+def test_noise_on_a_very_soft_surface_is_checked_too() -> None:
     assert not warned_of_noise(noisy(0.1, 5.0, {"stiffness_n_per_m": 0.01}))
 
 
@@ -119,7 +119,7 @@ def keeps_sounding(seed: int) -> tuple[bool, bool]:
 
 
 @pytest.mark.slow
-def test_what_noise_drives_is_warned_of() -> None:
+def test_noise_that_drives_the_hand_is_warned_of() -> None:
     found = [keeps_sounding(seed) for seed in range(40)]
     assert [seed for seed, (told, sounds) in enumerate(found) if sounds and not told] == []
     assert sum(sounds for _, sounds in found) > 5

@@ -46,7 +46,7 @@ def test_a_drop_on_the_way_into_a_cycle_is_no_rest() -> None:
 
 
 @pytest.mark.parametrize("lasting_s", [0.5, 5.0, 30.0])
-def test_what_dies_away_rests_however_slowly(lasting_s: float) -> None:
+def test_a_decaying_motion_rests_however_slowly_it_decays(lasting_s: float) -> None:
     found = ends(lambda t: 0.1 * np.exp(-t / lasting_s) * np.sin(40.0 * t))
     assert found.fate == "rests"
     # From 0.1 to 1e-7 m/s.
@@ -57,7 +57,7 @@ def test_dry_friction_stops_it_at_once() -> None:
     assert ends(lambda t: np.maximum(0.1 - 0.001 * t, 0.0) * np.sin(40.0 * t)) == EndState("rests", 0.0, 101.0)
 
 
-def test_what_is_not_decided_is_said() -> None:
+def test_an_undecided_motion_is_reported() -> None:
     assert ends(lambda t: 0.1 * np.exp(-t / 2000.0) * np.sin(40.0 * t)).fate == "falls"
     assert ends(lambda t: 0.01 * np.exp(t / 400.0) * np.sin(40.0 * t)).fate == "grows"
 

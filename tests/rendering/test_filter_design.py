@@ -1,4 +1,4 @@
-"""Noise filters do what they report: spectra, moments and stability against scipy, mpmath and a lattice in time."""
+"""Noise filters match their reports: spectra, moments and stability against scipy, mpmath and a lattice in time."""
 
 import itertools
 import math
@@ -178,7 +178,7 @@ def test_any_pair_gives_a_sound_filter_that_reports_itself(peak: float, mean: fl
     assert stochastic_filter(peak * rate, mean * rate, rate) == noise
 
 
-def test_what_cannot_be_met_is_as_near_as_a_wide_search_of_second_order_filters_gets() -> None:
+def test_an_impossible_pair_is_met_as_closely_as_by_a_search_of_second_order_filters() -> None:
     for peak, mean, rate in ((150, 400, 1e3), (400, 120, 1e3), (250, 120, 10e3), (4000, 200, 10e3)):
         noise = stochastic_filter(peak, mean, rate)
         assert not noise.met(peak, mean)
@@ -273,7 +273,7 @@ def exact_reflection(coefficients: Sequence[float]) -> list[float] | None:
     pairs=st.lists(st.tuples(st.floats(0.05, 0.995), st.floats(0.01, 3.13)), max_size=16),
     grow=st.booleans(),
 )
-def test_step_down_tells_stable_from_unstable_and_back(pairs: list[tuple[float, float]], grow: bool) -> None:
+def test_step_down_finds_unstable_filters_and_is_reversible(pairs: list[tuple[float, float]], grow: bool) -> None:
     # Exact coefficients, with one pair of poles pushed out of the circle.
     with mpmath.workdps(60):
         polynomial = [mpmath.mpf(1)]
@@ -293,7 +293,7 @@ def test_step_down_tells_stable_from_unstable_and_back(pairs: list[tuple[float, 
     assert not grow or not pairs
     reflection = reflection_of(coefficients)
     np.testing.assert_allclose(reflection, expected, rtol=1e-14)
-    # Backward stable: the step-up of what came down has the same coefficients.
+    # Backward stable: step-up after step-down gives the same coefficients.
     np.testing.assert_allclose(coefficients_of(reflection), coefficients, rtol=1e-12, atol=1e-11)
 
 
@@ -367,7 +367,7 @@ def test_down_a_model_keeps_its_spectrum(name: str, from_hz: float, to_hz: float
     assert worst < MAX_RESAMPLING_ERROR_DB + 0.2
     assert told == pytest.approx(worst, abs=0.2)
     assert rms < 0.45
-    # Of unit power as a whole, so what the band holds of it is an integral of the density.
+    # The total power is 1, so the part in the band is an integral of the density.
     frequency = np.linspace(0, to_hz / 2, 400001)
     held = scipy.integrate.simpson(power_spectrum((model, None), frequency, from_hz), x=frequency)
     assert kept == pytest.approx(held, rel=1e-6)

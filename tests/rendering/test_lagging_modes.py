@@ -59,7 +59,7 @@ def told(report: Report) -> dict[str, re.Match[str]]:
         pytest.param("acrylic", {"bandwidth_hz": 300, "order": 2, "damping_ratio": 0.2}, "full", marks=SLOW),
     ],
 )
-def test_what_is_told_is_what_the_handle_does(name: str, lag: dict[str, Any], compensation: str) -> None:
+def test_the_reported_part_is_that_of_the_simulated_handle(name: str, lag: dict[str, Any], compensation: str) -> None:
     wall = 800.0 if compensation != "off" else 0.0
     material = tap_of(name, 800)
     match = told(checked({"m": material}, compensation=compensation, actuator=lag))["materials.m.tap"]
@@ -75,14 +75,14 @@ def test_what_is_told_is_what_the_handle_does(name: str, lag: dict[str, Any], co
 
 
 @SLOW
-def test_what_would_be_right_is_right() -> None:
+def test_the_reported_remedies_are_sufficient() -> None:
     report = checked({"m": tap_of("wood", 800)}, actuator={"bandwidth_hz": 60})
     remedy = told(report)["materials.m.tap"][8]
     words = re.fullmatch(
         r"compensation: full would show ([\d.]+) %, or an actuator of ([\d.]+) Hz would suffice", remedy
     )
     assert words is not None and float(words[1]) == pytest.approx(100, abs=10)
-    needed_hz = float(words[2]) * 1.0005  # four figures are told
+    needed_hz = float(words[2]) * 1.0005  # four digits are reported
     assert not told(checked({"m": tap_of("wood", 800)}, actuator={"bandwidth_hz": needed_hz}))
     assert told(checked({"m": tap_of("wood", 800)}, actuator={"bandwidth_hz": 0.9 * needed_hz}))
     assert not told(checked({"m": tap_of("wood", 800)}, compensation="full", actuator={"bandwidth_hz": 60}))
@@ -111,7 +111,7 @@ def test_each_mode_where_it_stands_and_only_those_in_the_scene() -> None:
     assert sorted(told(report)) == ["materials.m.rupture", "materials.m.tap.second", "materials.m.texture"]
     assert report.faults > 0
     assert not told(checked(materials, objects))
-    # What is silent anyway is not told again.
+    # A silent mode is not reported again.
     config = {"servo": {"rate_hz": 1000}, "device": {"actuator": lag}, "materials": materials}
     assert not told(check(load_config({**config, "scene": {"objects": objects}})))
 
@@ -123,7 +123,7 @@ def test_without_a_handle_it_is_that_of_a_mass() -> None:
     assert 0 < float(match[3]) < 50 and match[8].startswith("device.handle and compensation: full")
 
 
-def test_what_is_felt_wrong_knows_the_actuator() -> None:
+def test_the_displayed_error_includes_the_actuator() -> None:
     errors = [
         checked({"m": tap_of("acrylic", 800)}, **device).materials[-1].sounds[0].error
         for device in ({}, {"actuator": {"bandwidth_hz": 100}})
@@ -132,7 +132,7 @@ def test_what_is_felt_wrong_knows_the_actuator() -> None:
 
 
 def test_one_mode_is_warned_of_once() -> None:
-    """That it would need more force than twice its amplitude is the actuator's doing, and is not told beside it."""
+    """A need for more than twice the force of the amplitude is caused by the actuator, and not reported in addition."""
     report = checked({"m": tap_of("steel", 800)}, compensation="mass", actuator={"bandwidth_hz": 300})
     assert [problem.where for problem in report.warnings] == ["materials.m.tap"]
     assert told(report)

@@ -1,4 +1,4 @@
-"""What the rate cannot carry, or shows otherwise than it was meant, is said wherever a scene or a material comes in."""
+"""Vibrations that the rate cannot carry, or displays with a deviation, are reported wherever a scene is set."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def refused(call: Any) -> list[dict[str, str]]:
     return data
 
 
-def test_what_no_signal_of_the_rate_has_is_refused_at_the_start_of_anything() -> None:
+def test_frequencies_above_half_the_rate_are_refused_at_every_start() -> None:
     source = {"materials": MATERIALS, "scene": {"objects": {"floor": {**FLOOR, "material": "high"}}}}
     for run in (
         lambda: render_run(source, [[0, 0]], 1000),
@@ -107,7 +107,7 @@ def test_warnings_are_part_of_the_status_and_follow_the_scene() -> None:
     assert (mode["material"], mode["mode"]) == ("steel", "tap")
 
 
-def test_what_a_link_cannot_carry_is_told_and_followed() -> None:
+def test_vibrations_that_a_link_cannot_carry_are_muted_and_reported() -> None:
     source = {
         "device": {"sim": {"link": {"rate_hz": 1000}}},
         "scene": {"objects": {"floor": {**FLOOR, "material": "steel"}}},
@@ -150,7 +150,7 @@ def test_warnings_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str], m
     assert told == [f"hapticd: warning: {warning}" for warning in run.warnings]
 
 
-def test_what_a_run_cannot_show_is_told(
+def test_vibrations_that_a_run_cannot_display_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = {"materials": MATERIALS, "scene": {"objects": {"floor": {**FLOOR, "material": "steel"}}}}
@@ -166,7 +166,7 @@ def test_what_a_run_cannot_show_is_told(
     assert capsys.readouterr().err.splitlines()[0] == f"hapticd: {told}"
 
 
-def test_patches_of_a_refused_material_are_found_with_one_look_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_patches_of_a_refused_material_are_found_with_one_check(monkeypatch: pytest.MonkeyPatch) -> None:
     daemon = methods()
     daemon.call("update_materials", {"materials": {"bad": {"texture": {**GRIT, "peak_hz": 600}, **STIFF}}})
     patches = [{"from_m": n / 1000, "to_m": (n + 1) / 1000, "material": "wood"} for n in range(300)]

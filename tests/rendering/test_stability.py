@@ -1,4 +1,4 @@
-"""Margins: closed forms, matrices that were built another way, brute force, and what becomes of walls that are safe."""
+"""Margins: closed forms, matrices built in another way, brute force, and simulations of safe walls."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def loop_with(timing: Timing, dynamics: Dynamics = HANDLE) -> Loop:
 # ---- Timing --------------------------------------------------------------------------------------------------------
 
 
-def test_a_plain_loop_and_one_of_whole_delays() -> None:
+def test_a_loop_without_delay_and_one_with_a_delay_of_complete_periods() -> None:
     for ticks in range(4):
         found = timing(10_000.0, 0.0, 1e-4 * ticks)
         assert found.reach_s == pytest.approx(1e-4 * (ticks + 0.5), rel=1e-12)
@@ -104,7 +104,7 @@ def ages(rate_hz: float, interval_s: float, age_s: float, frame_s: float, frames
         ]
     ),
 )
-def test_the_reach_is_the_norm_of_what_happens_to_a_motion_meanwhile(
+def test_the_reach_is_the_norm_of_the_displacement_since_the_measurement(
     interval: float, age: float, frame: float, frames: int
 ) -> None:
     # The integral operator on a grid, over many ticks: its norm comes near from below.
@@ -156,7 +156,7 @@ def test_the_timing_is_that_of_the_simulated_joystick(sim: dict[str, Any]) -> No
 
 
 @pytest.mark.parametrize("damping_ratio", [0.2, math.sqrt(0.5), 1.0, 2.0])
-def test_what_an_actuators_lag_adds(damping_ratio: float) -> None:
+def test_an_actuators_lag_adds_to_the_reach(damping_ratio: float) -> None:
     """Integrals of the impulse response of scipy's, of |h|, t |h| and t h."""
     actuator = Actuator(bandwidth_hz=300, order=2, damping_ratio=damping_ratio)
     a = actuator.rate_per_s
@@ -226,7 +226,7 @@ def test_the_held_motion_is_scipys() -> None:
         np.testing.assert_allclose(found[1], push[:, 0], rtol=1e-9, atol=1e-15)
 
 
-def test_a_part_of_a_period_of_delay_lies_between_whole_ones() -> None:
+def test_a_fractional_delay_lies_between_complete_periods() -> None:
     stiffness = np.diag([9000.0, 0.0])
     radius = [
         float(spectral_radius(stiffness, np.zeros((2, 2)), loop_with(Timing(1e-3, 1e-3 * part, 0, 1, 1e-3))))
@@ -245,7 +245,7 @@ def test_the_held_limit_is_where_the_radius_passes_one() -> None:
 
 
 @pytest.mark.long
-def test_what_is_safe_is_linearly_stable() -> None:
+def test_a_safe_set_is_linearly_stable() -> None:
     for index in range(60):
         trial = draw(np.random.default_rng((5, index)))
         if trial.safe:
@@ -307,7 +307,7 @@ def test_friction_springs_and_fields_count() -> None:
     assert len(evaluated(config_of({"push": {"kind": "constant", "force_n": [1, 0]}}))) == 0
 
 
-def test_noise_is_the_most_that_positions_half_a_step_off_can_do() -> None:
+def test_noise_is_the_largest_force_of_positions_off_by_half_a_step() -> None:
     random = np.random.default_rng(9)
     for _ in range(40):
         turns = random.uniform(0, 2 * math.pi, 2)
@@ -329,7 +329,7 @@ def test_noise_is_the_most_that_positions_half_a_step_off_can_do() -> None:
 
 
 @pytest.mark.parametrize("texture", ["grooves", "patches"])
-def test_what_stiffens_under_force_is_counted_up_to_the_force_that_is_assumed(texture: str) -> None:
+def test_stiffening_under_force_counts_up_to_the_assumed_force(texture: str) -> None:
     """The Jacobian of the rendered force, by differences, over the surface pressed with up to ASSUMED_PRESS_N."""
     grooves = {"kind": "grooves", "display": "geometry", "spacing_m": 0.002, "width_m": 0.001, "depth_m": 1e-4}
     materials: dict[str, Any] = {"m": {"stiffness_n_per_m": 800}, "n": {"stiffness_n_per_m": 500}}
@@ -416,7 +416,7 @@ def test_whatever_holds_a_point_at_once_is_within_a_set(way: str, monkeypatch: p
             assert any(together_here <= each for each in found), together_here
 
 
-def test_a_set_is_no_larger_than_a_pair_and_what_meets_both() -> None:
+def test_a_set_is_at_most_a_pair_and_the_surfaces_that_meet_both() -> None:
     row = {f"d{i}": {"kind": "disc", "center_m": [0.001 * i, 0], "radius_m": 6e-4, "material": "m"} for i in range(30)}
     sets = evaluated(config_of(row))
     assert len(sets) == 29
@@ -427,13 +427,13 @@ def test_a_set_is_no_larger_than_a_pair_and_what_meets_both() -> None:
 
 
 @pytest.mark.slow
-def test_nothing_that_is_called_safe_cycles_or_grows_and_what_grows_linearly_does() -> None:
+def test_safe_sets_neither_cycle_nor_grow_and_linearly_unstable_ones_grow() -> None:
     found = counted(SEED + 1, range(70), 128.0)
     assert found.broken == []
     assert found.not_grown == []
     assert found.linear > 5
     assert sum(count for (what, _), count in found.fates.items() if what == "safe") > 25
-    # The simulation can tell: of what is not safe some does not come to rest.
+    # The simulation distinguishes: some sets that are not safe do not come to rest.
     assert any(fate == "cycles" for _, fate in found.fates)
 
 
@@ -455,14 +455,14 @@ def test_walls_beyond_a_limit_cycle() -> None:
 
 
 @pytest.mark.slow
-def test_the_linear_simulation_knows_what_decays() -> None:
+def test_the_linear_simulation_of_a_stable_set_does_not_grow() -> None:
     for index in range(60):
         trial = draw(np.random.default_rng((8, index)))
         if 0.9 < trial.radius < 0.999 and trial.config.device.sim.hand.stiffness_n_per_m > 0:
             assert not linear_grows(trial)
 
 
-# ---- Where it is told ----------------------------------------------------------------------------------------------
+# ---- Where it is reported ------------------------------------------------------------------------------------------
 
 LINKED: dict[str, Any] = {
     "device": {"sim": {"link": {"rate_hz": 1000}}},
@@ -474,7 +474,7 @@ def stability_of(config: Config) -> Stability:
     return check(config).stability
 
 
-def test_what_is_not_safe_is_told_with_its_limit() -> None:
+def test_an_unsafe_set_is_reported_with_its_limit() -> None:
     told: Any = stability_of(load_config(LINKED)).to_dict()
     assert (told["unknown"], told["sets"], told["unsafe"]) == (None, 1, 1)
     (worst,) = told["worst"]
@@ -500,7 +500,7 @@ def test_what_is_not_safe_is_told_with_its_limit() -> None:
     assert worst.stiffness_n_per_m == pytest.approx(140)
 
 
-def test_many_sets_are_counted_and_few_told() -> None:
+def test_many_sets_are_counted_and_few_are_reported() -> None:
     objects = {
         f"d{i}": {"kind": "disc", "center_m": [0.001 * i, 0], "radius_m": 2e-4, "material": "m"} for i in range(60)
     }
@@ -522,7 +522,7 @@ def test_virtual_damping_is_unproved_until_it_shakes_the_handle() -> None:
         assert len(stability.problems()) == (verdict == "unsafe")
 
 
-def test_an_unknown_handle_is_said_and_not_guessed() -> None:
+def test_an_unknown_handle_is_reported_and_not_assumed() -> None:
     config = load_config({"device": {"kind": "hid"}})
     assert loop_of(config, 10_000.0) is None
     known = load_config({"device": {"kind": "hid", "handle": {"mass_kg": 0.1, "damping_n_s_per_m": 1}}})
@@ -562,7 +562,7 @@ def test_check_says_that_all_is_well(capsys: pytest.CaptureFixture[str]) -> None
     assert printed.err == ""
 
 
-def test_check_says_what_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reports_silent_modes_and_unsafe_sets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = {**LINKED, "scene": {"objects": {"floor": {**FLOOR, "material": "steel"}}}}
     assert main(["check", "-c", written(tmp_path, source)]) == 1
     printed = capsys.readouterr()
@@ -579,7 +579,7 @@ def test_check_says_what_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert told["stability"]["worst"][0]["objects"] == ["floor"]
 
 
-def test_check_reports_what_the_daemon_would_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reports_faults_that_the_daemon_would_refuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     grit = {"kind": "stochastic", "peak_hz": 450, "mean_hz": 600, "velocity_gain_per_s": 40}
     source = {
         "servo": {"rate_hz": 1000},

@@ -56,7 +56,7 @@ def margin_of(source: dict[str, Any]) -> Margin:
 
 
 def lowered(source: dict[str, Any], margin: Margin, part: float = 0.99) -> dict[str, Any]:
-    """The scene as it is told to be, and a little lower."""
+    """The scene with the reported remedy, slightly lowered."""
     materials = {name: {**material} for name, material in source["materials"].items()}
     every = re.fullmatch(r"every stiffness of .* at most (\S+) times its value", margin.remedy)
     found = re.findall(r"a (\S+) of at most (\S+) (?:N/m|m) for (m, n|m|n)", margin.remedy)
@@ -76,7 +76,7 @@ def lowered(source: dict[str, Any], margin: Margin, part: float = 0.99) -> dict[
 
 @pytest.mark.long
 @pytest.mark.parametrize("seeds", [range(15), pytest.param(range(15, 120), marks=pytest.mark.slow)])
-def test_what_is_told_is_safe(seeds: range) -> None:
+def test_the_reported_remedy_is_safe(seeds: range) -> None:
     told = 0
     for seed in seeds:
         source = drawn(seed)
@@ -98,7 +98,7 @@ def test_what_is_told_is_safe(seeds: range) -> None:
 
 
 @pytest.mark.long
-def test_a_little_more_than_what_is_told_is_not() -> None:
+def test_slightly_more_than_the_reported_remedy_is_not_safe() -> None:
     for seed in range(0, 30, 3):
         source = drawn(seed)
         margin = margin_of(source)
@@ -107,7 +107,7 @@ def test_a_little_more_than_what_is_told_is_not() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_told_rests() -> None:
+def test_a_remedied_scene_comes_to_rest() -> None:
     """The free handle is laid on by 0.5 N, and pushed along the surface."""
     for seed in range(36):
         source = drawn(seed)

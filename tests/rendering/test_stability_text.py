@@ -1,4 +1,4 @@
-"""What a person reads of a scene's stability: what it means and what to do."""
+"""The sentences on a scene's stability: results and remedies."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def test_the_scene_of_the_readme_does_not_frighten(
     assert " 0 of 1 " not in captured.out
 
 
-def test_what_is_safe() -> None:
+def test_a_safe_scene_in_words() -> None:
     assert words({"floor": FLOOR}) == [("stability", "all that can be touched is stable in any hand")]
     assert words({}) == [("stability", "the scene has nothing that can be touched")]
 
 
-def test_what_may_oscillate_says_what_to_do() -> None:
+def test_a_scene_that_may_oscillate_names_a_remedy() -> None:
     (_, whole), (verdict, one) = words({"floor": FLOOR}, SLOW)
     assert (
         whole == "what can be touched may oscillate: lower the stiffness or raise servo.rate_hz, see docs/stability.md"
@@ -65,6 +65,6 @@ def test_several_sets_are_counted() -> None:
     assert "not proved for every hand for 2 of 2 sets of objects" in whole and len(rest) == 2
 
 
-def test_what_is_not_known() -> None:
+def test_an_unknown_stability_in_words() -> None:
     told: dict[str, Any] = {"unknown": "device.handle is not given", "sets": 0, "unsafe": 0, "worst": []}
     assert stability_words(told) == [("stability", "not known: device.handle is not given")]

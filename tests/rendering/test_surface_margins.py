@@ -92,7 +92,7 @@ LINKED = {
 }
 
 
-def test_answers_have_the_margins_of_what_was_touched() -> None:
+def test_answers_have_the_margins_of_the_changed_surfaces() -> None:
     methods = Methods(Engine(load_config(LINKED)))
     limit = 0.2 / 2.5e-3
     assert methods.call("get_scene", {})["margins"] == {"floor": pytest.approx(limit / 800)}
@@ -115,7 +115,7 @@ def test_answers_have_the_margins_of_what_was_touched() -> None:
     assert "stability" not in methods.call("get_status", {})
 
 
-def test_without_a_handle_there_are_none() -> None:
+def test_without_a_handle_there_are_no_margins() -> None:
     device = {"kind": "hid", "effective_mass_kg": 0.1}
     assert loop_of(load_config({"device": device}), 10_000.0) is None
     engine = Engine(load_config(LINKED))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hapticd.base.core import EventKind
-from hapticd.rendering.rearm import at_rest, least_rearm_m, rearm_text
+from hapticd.rendering.rearm import at_rest, min_rearm_m, rearm_text
 from tests.support.rig import Rig
 
 RATE_HZ = 10_000
@@ -57,7 +57,7 @@ def test_false_taps_come_as_often_as_the_formula_says(depth: float, height: floa
 @pytest.mark.parametrize("step_m", [0.0, 3e-6])
 def test_minutes_of_noise_at_a_surface_make_no_false_tap(step_m: float) -> None:
     """1 um: tens of thousands a minute without a depth, only the first one in minutes with it, wherever the hand is."""
-    enough = least_rearm_m(1e-6, step_m, RATE_HZ)
+    enough = min_rearm_m(1e-6, step_m, RATE_HZ)
     assert taps(0.0, 0.0, 1e-6, 0.1, step_m) > 3000
     for height_m in (0.0, enough / 2, enough / 4):
         assert taps(enough, height_m, 1e-6, 2.0, step_m) <= 1
@@ -67,14 +67,14 @@ def test_the_depth_allows_one_false_tap_a_day() -> None:
     """By the tail of a Gaussian, from the equation: r Q(h / 2s) / 2 a second."""
     for noise_m in (1e-7, 1e-6, 2.3e-5):
         for rate_hz in (1000.0, 10_000.0):
-            depth = least_rearm_m(noise_m, 0.0, rate_hz)
+            depth = min_rearm_m(noise_m, 0.0, rate_hz)
             a_day = 86_400 * rate_hz * tail(depth / noise_m / 2) / 2
             assert 0.1 < a_day <= 1.0  # two figures, rounded up
-    assert least_rearm_m(1e-6, 0.0, RATE_HZ) == pytest.approx(12e-6)
-    assert least_rearm_m(1e-6, 2e-5, RATE_HZ) == pytest.approx(32e-6)
-    assert least_rearm_m(0.0, 2e-5, RATE_HZ) == pytest.approx(2e-5)
-    assert least_rearm_m(0.0, 0.0, RATE_HZ) == 0.0
-    assert least_rearm_m(1.0, 0.0, RATE_HZ) == 0.01
+    assert min_rearm_m(1e-6, 0.0, RATE_HZ) == pytest.approx(12e-6)
+    assert min_rearm_m(1e-6, 2e-5, RATE_HZ) == pytest.approx(32e-6)
+    assert min_rearm_m(0.0, 2e-5, RATE_HZ) == pytest.approx(2e-5)
+    assert min_rearm_m(0.0, 0.0, RATE_HZ) == 0.0
+    assert min_rearm_m(1.0, 0.0, RATE_HZ) == 0.01
 
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 10_000.0])

@@ -1,4 +1,4 @@
-"""Fit mass, damping, dry friction and stiffness, with intervals, to the positions of a drive.
+"""Fit of mass, damping, dry friction and stiffness, with confidence intervals, to the positions of a drive.
 
 The model is the simulated joystick (csrc/device/hd_sim_solver.c), driven by the recorded force, without the steps of
 encoder and actuator:
@@ -6,11 +6,11 @@ encoder and actuator:
     m x'' + b x' + c sign(x') + k x = F(t) + g,    observed with the delay d.
 
 The model is exact between the periods and includes the times at which dry friction holds the handle. A force that is
-held for longer than a period of the servo, as by a link, is modelled both as a staircase that changes with each report
-and as its running mean over the hold, which is equivalent below the staircase's rate; the better fit is kept. m, b, c,
-k and d hold for the entire drive. c and d belong to the device: for a held handle they are those of the free handle's
-drive, because under a hand damping times delay looks like mass. Each burst has its own initial position, initial speed
-and constant force g (drift of the hand, weight).
+held for longer than a period of the servo, as by a link, is modelled in two ways: as a staircase that changes with each
+report, and as its running mean over the hold. Both are equivalent below the rate of the reports; the better fit is
+kept. m, b, c, k and d hold for the entire drive. c and d belong to the device: for a held handle they are those of the
+free handle's drive, because in a hand damping times delay acts like a mass. Each burst has its own initial position,
+initial speed and constant force g (drift of the hand, weight).
 
 The fit is least squares over the positions by variable projection (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973):
 an outer fit of m, b, c, k and d, and an inner fit of each burst's start. Its residuals are the encoder's rounding and
@@ -29,28 +29,29 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.calibration.sweep import BURST_LEAD_TIME_S, Burst, Floats, Record
-from hapticd.analysis.statistics import Estimate
+from hapticd.analysis.calibration.sweep import BURST_LEAD_TIME_S, Burst, Record
+from hapticd.analysis.statistics import Estimate, Floats
 from hapticd.base.core import ffi, invalid_reason, lib, pointer
 from hapticd.base.errors import HapticdError
 
 SETTLING_TIME_S: Final = 0.005
 """A burst is fitted until this time after the last change of the encoder's position."""
 MAX_BURST_SAMPLES: Final = 2000
-"""Most samples of a burst that are fitted; more add time but no accuracy."""
+"""Largest number of samples of a burst that are fitted. More would cost time without better accuracy."""
 MIN_MOVING_BURSTS: Final = 6
-"""Fewest bursts that must move the handle; the intervals have one degree of freedom less than there are bursts."""
+"""Smallest number of bursts that move the handle. The intervals have one degree of freedom less than this number."""
 MIN_START_EFFECT_M: Final = 1e-7
 """A parameter of a burst's start that moves the handle by less than this cannot be determined and is ignored."""
-_MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
+MASS, DAMPING, FRICTION, STIFFNESS, DELAY = range(5)
+"""Indices of `Fit.values`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
     """The ratio of the measured to the modelled spectrum of the handle's motion at one frequency.
 
-    Multiplied by the fit's linear response, the ratio yields the measured response without the effects of friction and
-    of the bursts' starts.
+    The ratio times the linear response of the fit is the measured response, without the effects of friction and of the
+    bursts' starts.
     """
 
     frequency_hz: float
@@ -58,7 +59,7 @@ class Point:
 
 
 def points_of(lines: Iterable[tuple[float, complex, complex]]) -> tuple[Point, ...]:
-    """Return a Point for each frequency; `lines` hold frequency (Hz), measured and modelled spectrum of each burst."""
+    """Return a Point for each frequency. `lines` are frequency (Hz), measured and modelled spectrum of each burst."""
     sums: dict[float, tuple[complex, float]] = {}
     for frequency_hz, measured, modelled in lines:
         product, power = sums.get(frequency_hz, (0j, 0.0))
@@ -97,16 +98,16 @@ class Fit:
         s = 2j * math.pi * frequency_hz
         return np.asarray(1.0 / (self.mass_kg * s**2 + self.damping_n_s_per_m * s + self.stiffness_n_per_m))
 
-    def estimate(self, which: int, least: float = 0.0) -> Estimate:
-        """Return element `which` of `values` with its interval, whose lower bound is at least `least`."""
+    def estimate(self, which: int, lower_bound: float = 0.0) -> Estimate:
+        """Return element `which` of `values`, with an interval whose lower end is at least `lower_bound`."""
         found = Estimate.from_error(self.values[which], self.error[which], self.freedom)
-        return Estimate(found.value, max(least, found.low), found.high)
+        return Estimate(found.value, max(lower_bound, found.low), found.high)
 
 
 def difference(held: Fit, free: Fit, which: int) -> Estimate:
-    """Return the difference of element `which` of `values`: that of the held handle minus that of the free one.
+    """Return element `which` of `values` for the held handle, minus that for the free handle.
 
-    The interval is that of two independent fits (Welch and Satterthwaite); its lower bound is at least 0.
+    The interval is that of two independent fits (Welch and Satterthwaite); its lower end is at least 0.
     """
     variances = (held.error[which] ** 2, free.error[which] ** 2)
     total = sum(variances)
@@ -117,7 +118,7 @@ def difference(held: Fit, free: Fit, which: int) -> Estimate:
 
 
 def fit(record: Record, free: Fit | None = None) -> Fit:
-    """Fit the drive of a free handle, or of a held handle, given the fit `free` of the free drive.
+    """Fit the parameters of the handle to a drive. For a held handle, `free` is the fit of the free handle's drive.
 
     Raises HapticdError if the handle moved in too few bursts.
     """
@@ -126,7 +127,11 @@ def fit(record: Record, free: Fit | None = None) -> Fit:
 
 
 def held_forces(record: Record) -> list[Floats]:
-    """Return both models of a force that the actuator holds: running mean and staircase, each (n,), without delay."""
+    """Return the models of the held force to be fitted, (n,) in N, without delay.
+
+    A force held for one period is the command itself. A longer hold is modelled as a running mean and, if positions
+    are reported regularly, also as a staircase.
+    """
     periods = max(1, round(record.hold_s * record.rate_hz))
     if periods == 1:
         return [record.force_n]
@@ -140,15 +145,18 @@ def held_forces(record: Record) -> list[Floats]:
 
 
 def model_motion(record: Record, found: Fit) -> Floats:
-    """Return the modelled position and velocity (n, 2) of the handle, from rest, at each servo period of a drive."""
+    """Return the modelled position (m) and velocity (m/s) of the handle, first at rest, at each period, (n, 2)."""
     return _motion(np.array(found.values), np.zeros(3), held_forces(record)[-1], record.rate_hz)
 
 
 def _motion(values: Floats, start: Floats, force_n: Floats, rate_hz: float) -> Floats:
-    """Return position and velocity (n, 2) at each period of `force_n`. `values` are m, b, c, k; `start` is x, v, g."""
+    """Return the modelled position and velocity at each period of `force_n`, (n, 2).
+
+    `values` begin with m, b, c and k of the model; `start` holds initial position, velocity and constant force.
+    """
     config = ffi.new("struct hd_sim_config *")
     config.handle_mass_kg, config.handle_damping_n_s_per_m, config.coulomb_friction_n = values[:3]
-    config.hand_stiffness_n_per_m = values[_STIFFNESS]
+    config.hand_stiffness_n_per_m = values[STIFFNESS]
     # Limits so wide that neither the force nor the travel is limited.
     config.max_force_n, config.workspace_m, config.force_timeout_s = 1e6, 100.0, 1e6
     made = lib.hd_sim_new(config, 1.0 / rate_hz)
@@ -172,7 +180,7 @@ def tapered(time_s: npt.NDArray[np.floating], frequency_hz: float) -> npt.NDArra
 
 @dataclass(slots=True)
 class _Window:
-    """One burst: its force at each period, the periods `at` with the fitted positions `seen_m`, and its start."""
+    """One burst to be fitted: its force at each period, the positions `seen_m` at the periods `at`, and its start."""
 
     frequency_hz: float
     force_n: Floats
@@ -183,7 +191,7 @@ class _Window:
 
     @property
     def start_scale(self) -> Floats:
-        """Steps of the elements of `start` for numerical derivatives."""
+        """Steps for numerical derivatives with respect to the elements of `start`."""
         return np.array([2e-5, 1e-2, 1e-2 * float(np.abs(self.force_n).max())])
 
 
@@ -207,7 +215,7 @@ class _Fitting:
         self._values = self._guess()
 
     def _window(self, force: Floats, burst: Burst) -> _Window | None:
-        """Return the part of a burst to be fitted, None if the handle did not move."""
+        """Return the samples of a burst to be fitted; None if the handle did not move."""
         record, begin, end = self._record, burst.begin, burst.end
         lead = round(BURST_LEAD_TIME_S * record.rate_hz)
         first = max(0, begin - lead)
@@ -227,7 +235,7 @@ class _Fitting:
         return found
 
     def _speed(self, window: _Window) -> float:
-        """Return the initial speed of a burst in m/s, by a straight line through its first 10 ms."""
+        """Return the initial velocity of a burst in m/s: the slope of a straight line fitted to its first 10 ms."""
         time_s = (window.at - window.at[0]) * self._period_s
         first = time_s <= 0.01
         if np.count_nonzero(first) < 2:
@@ -235,7 +243,7 @@ class _Fitting:
         return float(np.polyfit(time_s[first], window.seen_m[first], 1)[0])
 
     def _guess(self) -> Floats:
-        """Return initial values from the spectra of the bursts, without friction: (-w^2 m + i w b + k) X = F."""
+        """Return initial values of m, b, c, k and d, from the spectra of the bursts: (-w^2 m + i w b + k) X = F."""
         rows, sides = [], []
         for window in self._windows:
             omega = 2 * math.pi * window.frequency_hz
@@ -258,7 +266,7 @@ class _Fitting:
     def _model(self, values: Floats, start: Floats, window: _Window) -> tuple[Floats, Floats]:
         """Return the modelled position and velocity for each fitted sample, with the delay d."""
         moved = _motion(values, start, window.force_n, self._record.rate_hz)
-        place = np.clip(window.at - values[_DELAY] / self._period_s, 0.0, len(moved) - 1.001)
+        place = np.clip(window.at - values[DELAY] / self._period_s, 0.0, len(moved) - 1.001)
         index = place.astype(np.int64)
         part = place - index
         x0, x1 = moved[index, 0], moved[index + 1, 0]
@@ -269,7 +277,7 @@ class _Fitting:
         return position, moved[index, 1] + part * (moved[index + 1, 1] - moved[index, 1])
 
     def _start_slopes(self, values: Floats, start: Floats, window: _Window) -> Floats:
-        """Return the derivatives (n, 3) of the position with respect to a burst's `start` x, v, g."""
+        """Return the derivatives of a burst's positions with respect to the elements of `start`, (n, 3)."""
         model, _ = self._model(values, start, window)
         scale = window.start_scale
         slopes = np.empty((len(model), 3))
@@ -306,20 +314,20 @@ class _Fitting:
         return np.concatenate(lefts)
 
     def _slopes(self, values: Floats) -> list[Floats]:
-        """Return for each burst the derivatives (n, 5) with respect to m, b, c, k and d, times their scales.
+        """Return for each burst the derivatives (n, 5) of its positions by m, b, c, k and d, times their scales.
 
-        The derivatives are projected onto the orthogonal complement of _start_slopes.
+        Changes of position that other starts of the burst can cause are projected out.
         """
         scale = self._scale(values)
         found = []
         for window in self._windows:
             model, speed = self._model(values, window.start, window)
             slopes = np.empty((len(model), 5))
-            for which in range(_DELAY):
+            for which in range(DELAY):
                 moved = values.copy()
                 moved[which] += 1e-4 * scale[which]
                 slopes[:, which] = (self._model(moved, window.start, window)[0] - model) / 1e-4
-            slopes[:, _DELAY] = -speed * scale[_DELAY]
+            slopes[:, DELAY] = -speed * scale[DELAY]
             own = self._start_slopes(values, window.start, window) * window.start_scale
             own = own[:, np.abs(own).max(axis=0) > MIN_START_EFFECT_M]
             left, _, _ = np.linalg.svd(own / np.linalg.norm(own, axis=0), full_matrices=False)
@@ -327,9 +335,9 @@ class _Fitting:
         return found
 
     def _scale(self, values: Floats) -> Floats:
-        """Return the magnitude of a significant change of each of m, b, c, k and d, used as their scale."""
+        """Return a significant change of each of m, b, c, k and d, to scale the fit."""
         force = float(np.abs(self._record.force_n).max())
-        mass = values[_MASS]
+        mass = values[MASS]
         return np.array([mass, max(values[1], mass), max(values[2], 0.02 * force), max(values[3], 10 * mass), 1e-3])
 
     # ---- The fit --------------------------------------------------------------------------------------------------
@@ -370,7 +378,7 @@ class _Fitting:
         )
         values = values_of(found.x)
         # The solver stays strictly inside its bounds: values next to 0 are 0.
-        values[:_DELAY][values[:_DELAY] < 1e-9 * self._scale(values)[:_DELAY]] = 0.0
+        values[:DELAY][values[:DELAY] < 1e-9 * self._scale(values)[:DELAY]] = 0.0
         self._values = values
         return self._residual(values)
 
@@ -405,7 +413,7 @@ class _Fitting:
         error = np.zeros(5)
         if self._known is not None:
             # The values taken from the free drive contribute their own errors.
-            taken = np.array([_FRICTION, _DELAY])
+            taken = np.array([FRICTION, DELAY])
             error[taken] = np.array(self._known.error)[taken]
             moves = np.linalg.lstsq(fitted, full[np.ix_(kept, taken)], rcond=1e-12)[0] * (error[taken] / scale[taken])
             spread += moves @ moves.T
@@ -426,7 +434,7 @@ class _Fitting:
         )
 
     def _spectral_lines(self) -> Iterable[tuple[float, complex, complex]]:
-        """Yield frequency, measured and modelled spectrum of each burst that moves the handle by an encoder step."""
+        """Yield frequency, measured and modelled spectrum of each burst that moves the handle by a step or more."""
         mass, damping, _, stiffness, _ = self._values
         for window in self._windows:
             s = 2j * math.pi * window.frequency_hz

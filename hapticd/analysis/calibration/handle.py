@@ -1,4 +1,4 @@
-"""`hapticd calibrate`: drive the handle free and held, fit both drives, and report handle and hand."""
+"""`hapticd calibrate`: drives the handle free and held, fits both drives, and reports handle and hand."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.calibration.accelerometer import AccelerometerResponse, compare, load_recording
-from hapticd.analysis.calibration.fit import Fit, Point, difference, fit
+from hapticd.analysis.calibration.fit import DAMPING, DELAY, FRICTION, MASS, STIFFNESS, Fit, Point, difference, fit
 from hapticd.analysis.calibration.rig import rig_of
 from hapticd.analysis.calibration.sweep import MAX_BURST_HZ, Axis, Record, Sweep, sweep_config, travel_m
 from hapticd.analysis.drawing import require_matplotlib
@@ -23,15 +23,13 @@ from hapticd.config.configuration import Config
 from hapticd.rendering.rearm import Resting, at_rest
 
 MIN_DELAY_PER_LAG: Final = 0.9
-"""Smallest ratio of the fitted delay to the time constant of a first-order lag that causes it.
+"""Lower bound of the ratio of a fitted delay to the time constant of the first-order lag that causes the delay.
 
-A lag also changes the shape of the response, so that the fitted delay is up to 7 % less than its time constant.
+A lag also changes the shape of the response, so that the fitted delay is up to 7 % less than the time constant.
 """
 MIN_LAG_DAMPING_RATIO: Final = 0.36
 """Smallest damping ratio zeta of a second-order lag that has at least the bandwidth of a first-order lag of equal
 delay: 2 zeta r >= 1, with the ratio r of bandwidth to natural frequency."""
-
-_MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,22 +41,23 @@ class Calibration:
     records: tuple[Record, Record]
     free: Fit
     held: Fit
-    heard: tuple[AccelerometerResponse, AccelerometerResponse] | None = None
+    responses: tuple[AccelerometerResponse, AccelerometerResponse] | None = None
+    """Measurements of the accelerometer during the two drives, if any."""
 
     @property
     def handle(self) -> tuple[Estimate, Estimate, Estimate]:
         """Mass (kg), damping (N s/m) and dry friction (N) of the handle."""
-        return (self.free.estimate(_MASS), self.free.estimate(_DAMPING), self.free.estimate(_FRICTION))
+        return (self.free.estimate(MASS), self.free.estimate(DAMPING), self.free.estimate(FRICTION))
 
     @property
     def grip(self) -> tuple[Estimate, Estimate, Estimate]:
         """Mass (kg), damping (N s/m) and stiffness (N/m) of the hand: the held drive minus the free one."""
-        mass, damping = (difference(self.held, self.free, which) for which in (_MASS, _DAMPING))
-        return (mass, damping, self.held.estimate(_STIFFNESS))
+        mass, damping = (difference(self.held, self.free, which) for which in (MASS, DAMPING))
+        return (mass, damping, self.held.estimate(STIFFNESS))
 
     @property
     def resting(self) -> Resting:
-        """Noise and smallest step of the free handle's positions before the first burst."""
+        """Noise and smallest step of the positions of the free handle before its first burst."""
         free = self.records[0]
         begin = min((burst.begin for burst in free.bursts), default=0)
         return at_rest(free.position_m[:begin], free.step_m, free.rate_hz)
@@ -69,11 +68,11 @@ class Calibration:
 
         The encoder cannot distinguish a lag from a delay. The bound is infinite without a delay.
         """
-        longest_s = self.free.estimate(_DELAY).high
-        return MIN_DELAY_PER_LAG / (2 * math.pi * longest_s) if longest_s > 0 else math.inf
+        delay_s = self.free.estimate(DELAY).high
+        return MIN_DELAY_PER_LAG / (2 * math.pi * delay_s) if delay_s > 0 else math.inf
 
     def section(self) -> dict[str, object]:
-        """Return the device section of a configuration file, with four digits of each value."""
+        """Return the section `device` of a configuration with the calibrated values, to four digits."""
         shown = [float(f"{max(0.0, each.value):.4g}") for each in (*self.handle, *self.grip)]
         return {
             "device": {
@@ -84,21 +83,21 @@ class Calibration:
         }
 
     def rows(self) -> list[tuple[str, Estimate, str]]:
-        """Return name, estimate and unit of each result, for a table."""
+        """Return the name, the estimate and the unit of each result, for a table."""
         names = ("handle mass", "handle damping", "handle friction", "grip mass", "grip damping", "grip stiffness")
         units = ("kg", "N s/m", "N", "kg", "N s/m", "N/m")
-        in_ms = self.free.estimate(_DELAY, -math.inf).mapped(lambda seconds: 1e3 * seconds)
+        in_ms = self.free.estimate(DELAY, -math.inf).mapped(lambda seconds: 1e3 * seconds)
         return [*zip(names, (*self.handle, *self.grip), units, strict=True), ("delay", in_ms, "ms")]
 
     def curves(self) -> Iterator[tuple[str, Record, Fit, AccelerometerResponse | None]]:
         """Yield name, record, fit and accelerometer response of both drives."""
-        yield "free", self.records[0], self.free, None if self.heard is None else self.heard[0]
-        yield "held", self.records[1], self.held, None if self.heard is None else self.heard[1]
+        yield "free", self.records[0], self.free, None if self.responses is None else self.responses[0]
+        yield "held", self.records[1], self.held, None if self.responses is None else self.responses[1]
 
     def notes(self) -> list[str]:
         """Return notes on the quality of the calibration, one line each."""
         lines = []
-        for name, record, found, heard in self.curves():
+        for name, record, found, accelerometer in self.curves():
             highest = max(point.frequency_hz for point in found.points)
             lines.append(
                 f"{name}: measured by the encoder up to {highest:.0f} Hz; RMS of the residual "
@@ -106,31 +105,31 @@ class Calibration:
                 f"{1e6 * record.step_m:.3g} um)"
             )
             if record.left_out:
-                lines.append(f"{name}: {record.left_out} bursts are excluded, the servo stalled during them")
+                lines.append(f"{name}: {record.left_out} bursts are excluded, as the servo stalled during them")
             if found.residual_m > max(0.05 * found.motion_m, record.step_m):
                 lines.append(
                     f"{name}: the residual is large: this handle is not only a mass with damping and dry friction, or "
                     "the hand moved; the bounds hold for the model only"
                 )
-            if heard is not None:
-                beyond = [point for point in heard.points if point.frequency_hz > highest]
-                text = f"{name}: accelerometer scale {heard.scale:.3g}"
+            if accelerometer is not None:
+                beyond = [point for point in accelerometer.points if point.frequency_hz > highest]
+                text = f"{name}: accelerometer scale {accelerometer.scale:.3g}"
                 if beyond:
                     off = float(np.sqrt(np.mean([(abs(point.ratio) - 1) ** 2 for point in beyond])))
                     last = beyond[-1].frequency_hz
                     text += f"; above the encoder's range, up to {last:.0f} Hz, {100 * off:.2g} % RMS from the fit"
                 lines.append(text)
-        return [*lines, self._of_actuator(), str(self.resting)]
+        return [*lines, self._actuator_note(), str(self.resting)]
 
-    def _of_actuator(self) -> str:
-        least_hz = self.bandwidth_at_least_hz
-        if least_hz >= MAX_BANDWIDTH_HZ:
+    def _actuator_note(self) -> str:
+        bandwidth_hz = self.bandwidth_at_least_hz
+        if bandwidth_hz >= MAX_BANDWIDTH_HZ:
             limit = f"{MAX_BANDWIDTH_HZ:g} Hz"
             return f"actuator: its bandwidth is above {limit}, so the configuration needs no device.actuator"
         return (
-            f"actuator: its bandwidth is {least_hz:.0f} Hz or more (of second order: with a damping ratio of at least "
-            f"{MIN_LAG_DAMPING_RATIO:g}), even if all of the delay is its lag; a lag cannot be distinguished from a "
-            "delay, so device.actuator is not written"
+            f"actuator: its bandwidth is {bandwidth_hz:.0f} Hz or more (of second order: with a damping ratio of at "
+            f"least {MIN_LAG_DAMPING_RATIO:g}), even if all of the delay is its lag; a lag cannot be distinguished "
+            "from a delay, so device.actuator is not written"
         )
 
     def to_dict(self) -> dict[str, object]:
@@ -138,21 +137,21 @@ class Calibration:
         return {
             "axis": self.axis,
             "estimates": {name.replace(" ", "_"): {**each.to_dict(), "unit": unit} for name, each, unit in self.rows()},
-            "response": {name: list(_response(fit, heard)) for name, _, fit, heard in self.curves()},
-            "accelerometer_scale": None if self.heard is None else [each.scale for each in self.heard],
+            "response": {name: list(_response(fit, accelerometer)) for name, _, fit, accelerometer in self.curves()},
+            "accelerometer_scale": None if self.responses is None else [each.scale for each in self.responses],
             "positions": self.resting.to_dict(),
             "actuator_bandwidth_at_least_hz": min(MAX_BANDWIDTH_HZ, self.bandwidth_at_least_hz),
             "notes": self.notes(),
         }
 
 
-def _measured(fit: Fit, heard: AccelerometerResponse | None) -> list[tuple[str, Sequence[Point]]]:
-    """Return the measured responses, divided by the fit's, of encoder and accelerometer, by the sensor's name."""
-    return [("encoder", fit.points), ("accelerometer", () if heard is None else heard.points)]
+def _measured(fit: Fit, accelerometer: AccelerometerResponse | None) -> list[tuple[str, Sequence[Point]]]:
+    """Return each sensor's name, and the response that it measured, divided by the response of the fit."""
+    return [("encoder", fit.points), ("accelerometer", () if accelerometer is None else accelerometer.points)]
 
 
-def _response(fit: Fit, heard: AccelerometerResponse | None) -> Iterator[dict[str, object]]:
-    for by, points in _measured(fit, heard):
+def _response(fit: Fit, accelerometer: AccelerometerResponse | None) -> Iterator[dict[str, object]]:
+    for by, points in _measured(fit, accelerometer):
         for point in points:
             fitted = complex(fit.response(np.array([point.frequency_hz]))[0])
             measured = fitted * point.ratio
@@ -199,12 +198,15 @@ def calibrate(
 
 
 def with_accelerometer(found: Calibration, path: str) -> Calibration:
-    """Add an accelerometer's recording of both drives to a calibration. Raises HapticdError if a drive is missing."""
+    """Add an accelerometer's recording of both drives to a calibration.
+
+    Raises HapticdError if the recording cannot be read, or lacks a drive.
+    """
     recording = load_recording(path)
     free, held = (
         compare(record, each, recording) for record, each in zip(found.records, (found.free, found.held), strict=True)
     )
-    return replace(found, heard=(free, held))
+    return replace(found, responses=(free, held))
 
 
 # ---- The picture ----------------------------------------------------------------------------------------------------
@@ -224,13 +226,13 @@ def check_picture(path: str) -> None:
 
 
 def picture(found: Calibration, path: str) -> bytes:
-    """Draw the measured and the fitted response, magnitude above phase, in the format of the extension of `path`."""
+    """Draw the measured and fitted responses, magnitude above phase; return the bytes in the format of `path`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 7), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    for color, (name, _, fitted, heard) in zip(("C0", "C1"), found.curves(), strict=True):
-        measured = _measured(fitted, heard)
+    for color, (name, _, fitted, accelerometer) in zip(("C0", "C1"), found.curves(), strict=True):
+        measured = _measured(fitted, accelerometer)
         frequencies = [point.frequency_hz for _, points in measured for point in points]
         fine = np.geomspace(min(frequencies), max(frequencies), 500)
         response = fitted.response(fine)

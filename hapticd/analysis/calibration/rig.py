@@ -1,10 +1,10 @@
-"""Rigs: devices that strike modes and return the rendered samples.
+"""Rigs: devices under test, which strike modes and return the rendered samples.
 
-SimRig is the simulated joystick without clock, ServoRig a device at its servo. Both run the servo's tick over the scene
-of a configuration, have the same members, and raise HapticdError if they fail:
+SimRig is the simulated joystick without a clock, ServoRig a device with its servo. Both render the scene of a
+configuration with the servo's tick, raise HapticdError if they fail, and have the same members:
 
-strike(mode, amplitude, direction)  strike a mode with a coefficient; return the first tick that renders the mode
-run(duration_s)                     run for a time; return the samples of that time, (n,) records of SAMPLE_DTYPE
+strike(mode, amplitude, direction)  strike a mode with this coefficient; return the first tick that renders it
+run(duration_s)                     run for a time; return its samples, (n,) records of SAMPLE_DTYPE
 with rig:                           when the `with` statement ends, the force is zero
 rate_hz, output                     rate of the servo, and how it renders for the device
 hold_s                              how long the actuator holds a force: a period of the servo or of its link
@@ -28,11 +28,11 @@ from hapticd.protocol.events import fault_names
 from hapticd.rendering.offline import CompiledScene, Samples, Simulation
 
 SERVO_POLL_INTERVAL_S: Final = 0.005
-"""Time between two reads of the servo's samples, far below the time in which their buffer fills."""
+"""Time between two reads of the samples; their buffer takes far longer to fill."""
 SERVO_STALL_TIMEOUT_S: Final = 1.0
-"""A servo that yields no sample for this time has stopped."""
+"""A servo without a new sample for this time counts as stopped."""
 SIGNS_CHECK_TIMEOUT_S: Final = 30.0
-"""Time in which the user must release the handle, so that the signs of the device's forces can be checked."""
+"""Time within which the user must release the handle, for the check of the signs of the device's forces."""
 
 
 class SimRig:
@@ -65,7 +65,7 @@ class SimRig:
 
 
 class ServoRig:
-    """A device whose servo runs in this process, started as the daemon does. The device's forces are on at once."""
+    """A device whose servo runs in this process, started as in the daemon, with the forces on."""
 
     def __init__(self, config: Config) -> None:
         """Start the servo. Raises HapticdError if the device or the servo cannot be started."""
@@ -94,7 +94,7 @@ class ServoRig:
         self.close()
 
     def _check_signs(self) -> None:
-        """Wait for the servo to check the signs of the device's forces; HapticdError after SIGNS_CHECK_TIMEOUT_S."""
+        """Wait until the servo has checked the signs of the forces. Raises HapticdError after SIGNS_CHECK_TIMEOUT_S."""
         deadline = time.monotonic() + SIGNS_CHECK_TIMEOUT_S
         while (signs := self._engine.counters().signs).holds_back:
             self.run(SERVO_POLL_INTERVAL_S)
@@ -110,7 +110,7 @@ class ServoRig:
         """Run for a time; return the samples rendered in it. Raises HapticdError on a fault or lost samples."""
         taken: list[Samples] = []
         wanted_ns = round(duration_s * 1e9)
-        heard = time.monotonic()
+        latest_s = time.monotonic()
         while True:
             self._engine.beat()
             count, dropped = self._engine.read_samples(self._room)
@@ -123,13 +123,13 @@ class ServoRig:
             if dropped:
                 raise HapticdError("stopped: this machine does not keep up with the servo; try a lower servo.rate_hz")
             if count:
-                heard = time.monotonic()
+                latest_s = time.monotonic()
                 taken.append(self._room[:count].copy())
                 begun_ns, now_ns = int(taken[0]["time_ns"][0]), int(taken[-1]["time_ns"][-1])
                 if now_ns - begun_ns >= wanted_ns:
                     return np.concatenate(taken)
-            elif time.monotonic() - heard > SERVO_STALL_TIMEOUT_S:
-                raise HapticdError("stopped: the servo gives no samples")
+            elif time.monotonic() - latest_s > SERVO_STALL_TIMEOUT_S:
+                raise HapticdError(f"stopped: the servo has rendered no sample for {SERVO_STALL_TIMEOUT_S:g} s")
             time.sleep(SERVO_POLL_INTERVAL_S)
 
     def close(self) -> None:
@@ -143,15 +143,15 @@ Rig: TypeAlias = SimRig | ServoRig
 
 
 def rig_of(config: Config) -> Rig:
-    """Return the rig of a configuration's device. Raises HapticdError if the device or the servo cannot be started."""
+    """Return the rig for the configured device. Raises HapticdError if the device or the servo cannot be started."""
     return SimRig(config) if config.device.kind == "sim" else ServoRig(config)
 
 
 def on_grid(samples: Samples, rate_hz: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Map samples to servo periods.
+    """Return the period of each sample, and the sample of each period.
 
-    Returns the period of each sample, counted from the first one, (n,), and for each period the index of the sample
-    whose force acts in it, (periods,). In a period that the servo missed, the previous force acts.
+    The first array (n,) counts periods from the first sample. The second (periods,) holds the index of the sample whose
+    force acts in a period: in a missed period, that of the previous sample.
     """
     since_ns = samples["time_ns"] - samples["time_ns"][0]
     place = np.rint(since_ns * 1e-9 * rate_hz).astype(np.int64)

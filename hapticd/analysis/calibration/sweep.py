@@ -1,9 +1,9 @@
 """The drive of a calibration: bursts at one frequency each, from FIRST_BURST_HZ downwards, then upwards.
 
 A burst is a slowly decaying mode, struck in alternating directions. A soft spring returns a free handle to the middle;
-the spring's force is recorded, too. The force of each burst follows from the motion in the burst before, so that the
-handle stays in the middle third of its travel. It is at most MAX_BURST_FORCE_FRACTION of the force limit, which leaves
-a reserve for the spring.
+the spring's force is recorded, too. The motion in each burst determines the force of the next one, which keeps the
+handle in the middle third of its travel. A burst's force is at most MAX_BURST_FORCE_FRACTION of the force limit, which
+leaves a reserve for the spring.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from hapticd.analysis.calibration.rig import Rig, on_grid
+from hapticd.analysis.statistics import Floats
 from hapticd.base.core import Flag
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, Hand
@@ -25,7 +25,7 @@ from hapticd.config.scene import Display, Scene, Spring
 from hapticd.rendering.offline import Samples
 
 CENTERING_SPRING: Final = Spring(kind="spring", center_m=(0.0, 0.0), stiffness_n_per_m=20.0, damping_n_s_per_m=0.3)
-"""Spring that returns a free handle to the middle; it is soft, so that it hardly affects a burst."""
+"""Spring that returns a free handle to the middle, and too soft to affect a burst noticeably."""
 FIRST_BURST_HZ: Final = 60.0
 """Frequency of the first burst, in the middle of the range."""
 MAX_BURST_HZ: Final = 1600.0
@@ -35,9 +35,9 @@ BURST_DECAYS: Final = 3.0
 MAX_BURST_FORCE_FRACTION: Final = 0.8
 """Largest force of a burst as a fraction of the force limit; the rest is a reserve for the spring."""
 BURST_LEAD_TIME_S: Final = 0.06
-"""A burst is evaluated from this time before it begins; the time is also the longest delay that can be fitted."""
+"""A burst is fitted from this time before its begin. The longest delay that can be fitted is about as long."""
 FORCE_EXPIRY_TIME_S: Final = 0.03
-"""A device may drop a force that is not renewed for this time."""
+"""A device may end a force that is not renewed for this time."""
 DRIVE_REST_TIME_S: Final = 0.1
 """Time before and after the bursts."""
 RUN_CHUNK_TIME_S: Final = 0.02
@@ -45,7 +45,6 @@ RUN_CHUNK_TIME_S: Final = 0.02
 MAX_TRAVEL_FRACTION: Final = 1.0 / 3.0
 """Fraction of the travel, about the middle, within which the handle must stay."""
 
-Floats = npt.NDArray[np.float64]
 Axis = Literal["x", "y"]
 
 
@@ -64,34 +63,34 @@ class Burst:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """The record of a drive along its axis, with one value per servo period."""
+    """Force and position along the axis of a drive, with one value per servo period."""
 
     rate_hz: float
     hold_s: float
     """Time for which the actuator holds a force."""
     held: bool
-    """Whether the handle was held."""
+    """Whether a hand held the handle."""
     force_n: Floats
     """Commanded force (n,), rounded to the actuator's steps if these are known."""
     position_m: Floats
-    """Reported position (n,), NaN at periods without a new report."""
+    """Measured position (n,); NaN in periods without a new one."""
     bursts: tuple[Burst, ...]
     left_out: int = 0
     """Number of bursts that are excluded because the servo stalled during them."""
 
     @property
     def step_m(self) -> float:
-        """Smallest step between positions, 0 if the handle never moved."""
+        """Smallest step between two measured positions; 0 if the handle never moved."""
         known = self.position_m[~np.isnan(self.position_m)]
         steps = np.abs(np.diff(known))
         return float(steps[steps > 0].min(initial=np.inf)) if np.any(steps > 0) else 0.0
 
 
 def sweep_config(config: Config, *, held: bool, force_n: float) -> Config:
-    """Return the configuration of a drive: a scene with only the centering spring, and this force limit.
+    """Return the configuration of a drive: a scene with only the centering spring, and the force limit `force_n`.
 
-    The effective mass is 1 kg, so that a mode's coefficient is a force in newton. A simulated joystick has its hand
-    removed unless `held`.
+    The effective mass is 1 kg, so that a mode's coefficient is a force in newton. The simulated hand is removed unless
+    `held`.
     """
     device = config.device
     sim = (
@@ -168,14 +167,14 @@ class Sweep:
             frequency /= 1.4
 
     def _rising_frequencies(self, reach_m: float, step_m: float) -> Iterator[float]:
-        """Yield rising frequencies while the expected motion is at least a step of the encoder, or up to `highest_hz`.
+        """Yield rising frequencies as long as the expected motion is at least `step_m`, then up to `highest_hz`.
 
-        `reach_m` is the motion at FIRST_BURST_HZ under the largest force.
+        `reach_m` is the motion at FIRST_BURST_HZ under the largest force of a burst.
         """
         frequency = 1.25 * FIRST_BURST_HZ
         while frequency <= 0.4 / self._rig.hold_s:
-            seen = reach_m * (FIRST_BURST_HZ / frequency) ** 2 >= step_m
-            if not seen and (self._highest_hz is None or frequency > self._highest_hz):
+            measurable = reach_m * (FIRST_BURST_HZ / frequency) ** 2 >= step_m
+            if not measurable and (self._highest_hz is None or frequency > self._highest_hz):
                 return
             yield frequency
             frequency *= 1.25
@@ -209,8 +208,11 @@ class Sweep:
         return float(np.ptp(positions))
 
     def _wait(self, duration_s: float) -> Floats:
-        """Run the rig; return the positions (n,). Raises HapticdError if the handle leaves the middle third."""
-        seen = []
+        """Run the rig for a time; return the positions (n,) in m.
+
+        Raises HapticdError if the handle leaves the middle third of its travel.
+        """
+        found = []
         left_s = duration_s
         while left_s > 0:
             samples = self._rig.run(min(left_s, RUN_CHUNK_TIME_S))
@@ -223,14 +225,11 @@ class Sweep:
                     f"stopped, the force is zero: the handle left the middle third of its travel, {1e3 * farthest:.1f} "
                     f"of {1e3 * self._travel_m:g} mm; bring it to the middle, or use less force (--force-n)"
                 )
-            seen.append(positions)
-        return np.concatenate(seen)
+            found.append(positions)
+        return np.concatenate(found)
 
     def _record(self) -> Record:
-        """Return the record of all bursts until now.
-
-        Periods that the servo missed keep the previous force and have no position.
-        """
+        """Return the record of all bursts until now. Missed periods have the previous force and no position."""
         samples = np.concatenate(self._taken)
         rate_hz = self._rig.rate_hz
         place, holding = on_grid(samples, rate_hz)

@@ -1,11 +1,11 @@
 """`hapticd verify`: strike each mode of the library, and compare the handle's acceleration with the library's waveform.
 
-The simulated handle is driven again by the commanded forces at PARTS_PER_PERIOD times the rate, and the differences of
-its exact velocities are means of its acceleration. The library's waveform is averaged over the same times. A link
-delays the force without changing its shape: the onset is the time at which the force begins at the actuator.
+The commanded forces drive the simulated handle again, at PARTS_PER_PERIOD times the rate. Differences of its exact
+velocities are means of its acceleration; the library's waveform is averaged over the same times. A link delays the
+force without changing its shape, so the onset is the time at which the force begins at the actuator.
 
-In a recording, cross-correlation finds the complete sequence. Each onset is then the time of the least error within
-3 ms of its expected time.
+In an accelerometer's recording, cross-correlation finds the sequence of strikes. Each onset is then the time within
+3 ms of the expected one at which the error is smallest.
 
 Taps on a wall: the tapped surface acts on the handle while the tap rings. The forces of the tap are those that
 `hapticd.render` returns for a probe that meets a wall of the material at the given speed and then rests there. They
@@ -25,7 +25,8 @@ import numpy as np
 
 from hapticd.analysis.calibration.accelerometer import Recording, offset_of
 from hapticd.analysis.calibration.rig import on_grid, rig_of
-from hapticd.analysis.calibration.sweep import Axis, Floats
+from hapticd.analysis.calibration.sweep import Axis
+from hapticd.analysis.statistics import Floats
 from hapticd.base.core import ffi, lib, pointer
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, Link, Sim
@@ -41,44 +42,45 @@ from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import Samples, render
 
 DEFAULT_TAP_SPEED_M_PER_S: Final = 0.1
-"""Speed of taps and grooves without --speed."""
+"""Speed of taps and of strokes over grooves, without --speed."""
 GROOVE_NORMAL_FORCE_N: Final = 1.0
-"""Normal force of the grooves."""
+"""Normal force of a stroke over grooves."""
 STRIKE_GAP_S: Final = 0.3
-"""Pause between two strikes, after five decay times and RECORDING_TAIL_S."""
+"""Pause before the next strike, after five decay times and RECORDING_TAIL_S."""
 RECORDING_TAIL_S: Final = 0.06
 """Time beyond five decay times that is compared in a recording. It includes the end of the compensation and the hand's
-response; a longer one would add the sensor's noise."""
+response; a longer time would add noise of the sensor."""
 SIMULATION_TAIL_S: Final = 0.25
-"""Time beyond five decay times that is compared for the simulated handle, until hand and handle are at rest. It is
-shorter than the pause between two strikes."""
+"""Time beyond five decay times that is compared in a simulation, until hand and handle are at rest. It is shorter than
+the pause between two strikes."""
 ONSET_LEAD_PERIODS: Final = 2.0**-20
-"""Time from an onset to the tick that renders it, in periods: just above 0, as the probe has then crossed a surface."""
+"""Time from an onset to the next tick, in periods. Above 0, so that the probe is inside the surface at the tick."""
 
 
 @dataclass(frozen=True, slots=True)
 class Strike:
-    """A mode to strike: the material, its use of the mode, and the library's coefficient for it."""
+    """A mode to strike, with its coefficient, as a material of the library uses it."""
 
     material: str
     use: str
+    """tap, second, groove, rupture, or wall for a tap on a wall."""
     mode: Mode
     coefficient_m_per_s2: float
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Comparison:
     """Error and strength of a displayed strike, compared with the library's waveform."""
 
     strike: Strike
     displayed_hz: float | None
-    """Displayed frequency; None if the mode is silent because its frequency is too high for the rate."""
+    """Displayed frequency; None if the mode is muted because its frequency is too high for the rate."""
     force_n: float
     """Largest commanded force."""
     error: float
-    """RMS of the difference, divided by the RMS of the library's waveform, in the band; 1 if nothing is displayed."""
+    """RMS of the difference divided by the RMS of the library's waveform, in the error band; 1 if the mode is muted."""
     strength: float
-    """Projection of the displayed acceleration on the library's waveform: 1 is ideal, less is too weak."""
+    """Displayed amplitude over that of the library, by projection on the waveform: 1 is ideal, less is too weak."""
 
     def to_dict(self) -> dict[str, object]:
         """Return the comparison as JSON."""
@@ -95,7 +97,7 @@ class Verdict:
 
 
 def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = DEFAULT_TAP_SPEED_M_PER_S) -> list[Strike]:
-    """Return the strikes of materials: taps at this speed, grooves at this speed under 1 N, and ruptures."""
+    """Return the strikes of materials: taps and grooves at `speed_m_per_s`, grooves under 1 N, and ruptures."""
     found = []
     for name, material in materials.items():
         for strike in _tap_strikes(name, material, speed_m_per_s):
@@ -115,7 +117,7 @@ def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = DEFAULT
 
 
 def _tap_strikes(name: str, material: Material, speed_m_per_s: float) -> list[Strike]:
-    """Return the strikes of a tap's one or two modes; the second coefficient may be negative. Empty without a mode."""
+    """Return a strike for each mode of a material's tap, none to two. The second coefficient may be negative."""
     tap = material.tap
     if tap is None or tap.ringing is None or not (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
         return []
@@ -143,7 +145,7 @@ class Played:
 
 
 def play(config: Config, strikes: list[Strike], axis: Axis) -> Played:
-    """Play strikes one after the other in an empty scene. Raises HapticdError if the device cannot be driven."""
+    """Strike modes one after the other in an empty scene. Raises HapticdError if the device cannot be driven."""
     alone = config.model_copy(update={"scene": Scene()})
     along = 0 if axis == "x" else 1
     taken: list[Samples] = []
@@ -165,8 +167,8 @@ def play(config: Config, strikes: list[Strike], axis: Axis) -> Played:
     return Played(rig.rate_hz, output, tuple(strikes), tuple(begins), force, along)
 
 
-def from_simulation(config: Config, played: Played) -> list[Verdict]:
-    """Compare the acceleration of the simulated handle with the library."""
+def from_simulation(config: Config, played: Played) -> list[Comparison]:
+    """Compare the simulated handle's acceleration under the commanded forces with the library."""
     rate_hz = played.rate_hz * PARTS_PER_PERIOD
     sim = new_sim(config.device.sim, rate_hz)
     force = np.repeat(played.force_n, PARTS_PER_PERIOD, axis=0)
@@ -179,11 +181,11 @@ def from_simulation(config: Config, played: Played) -> list[Verdict]:
         count = round((5.0 / strike.mode.decay_rate_per_s + SIMULATION_TAIL_S) * rate_hz)
         return _compared(acceleration[onset : onset + count], strike, rate_hz, played)
 
-    return _verdicts(played, measured)
+    return _comparisons(played, measured)
 
 
-def from_recording(played: Played, recording: Recording) -> list[Verdict]:
-    """Compare the acceleration in a recording with the library. Raises HapticdError if the sequence is not in it."""
+def from_recording(played: Played, recording: Recording) -> list[Comparison]:
+    """Compare a recorded acceleration with the library. Raises HapticdError if the recording lacks the strikes."""
     rate_hz = recording.rate_hz
     expected = np.zeros(len(played.force_n))
     for strike, begin in zip(played.strikes, played.begins, strict=True):
@@ -212,13 +214,13 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
         best = minimize_scalar(error_at, bounds=around, method="bounded", options={"xatol": 1e-3 * period_s}).x
         return _compared(recording.at(times + best), strike, rate_hz, played)
 
-    return _verdicts(played, measured)
+    return _comparisons(played, measured)
 
 
 def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
-    """Return the time at which the force of a tick begins at the actuator, in units of 1/PARTS_PER_PERIOD of a period.
+    """Return the time at which the force of tick `begin` begins at the actuator, in 1/PARTS_PER_PERIOD of a period.
 
-    Over a link the force waits for the link's next frame.
+    Over a link the force waits for the next frame, and for the link's delay.
     """
     onset = begin * PARTS_PER_PERIOD
     if link is None:
@@ -233,35 +235,35 @@ def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) 
 
 
 def compared(measured: Floats, reference: Floats, rate_hz: float, output: Output) -> tuple[float, float]:
-    """Return error and strength (see Verdict) of an acceleration relative to `reference`, (n,) each, from the onset."""
+    """Return error and strength (see Comparison) of an acceleration (n,) from the onset, relative to `reference`."""
     high_hz = ERROR_BAND_RATE_FRACTION * min(output.rate_hz, rate_hz)
     error = band_error(measured, reference, rate_hz, ERROR_BAND_LOW_HZ, high_hz)
     one, other = (band_lines(each, rate_hz, ERROR_BAND_LOW_HZ, high_hz) for each in (measured, reference))
     return error, float(np.vdot(other, one).real / np.vdot(other, other).real)
 
 
-def _verdicts(played: Played, measured: Callable[[Strike, int], tuple[float, float]]) -> list[Verdict]:
+def _comparisons(played: Played, measured: Callable[[Strike, int], tuple[float, float]]) -> list[Comparison]:
     found = []
     for strike, begin in zip(played.strikes, played.begins, strict=True):
         if begin < 0:
-            found.append(Verdict(strike, None, 0.0, 1.0, 0.0))
+            found.append(Comparison(strike, None, 0.0, 1.0, 0.0))
             continue
         shown, _ = displayed_mode(strike.mode, played.output)
         assert shown is not None
         last = begin + round((5.0 / strike.mode.decay_rate_per_s + RECORDING_TAIL_S) * played.rate_hz)
         force = float(np.abs(played.force_n[begin:last, played.along]).max())
         error, strength = measured(strike, begin)
-        found.append(Verdict(strike, shown.frequency_hz, force, error, strength))
+        found.append(Comparison(strike, shown.frequency_hz, force, error, strength))
     return found
 
 
 # ---- Taps on walls --------------------------------------------------------------------------------------------------
 
 
-def verdicts_on_walls(
+def compare_on_walls(
     config: Config, speed_m_per_s: float = DEFAULT_TAP_SPEED_M_PER_S, axis: Axis = "y"
-) -> list[Verdict]:
-    """Compare the materials' taps with the library, each on a wall of its material with the simulated joystick."""
+) -> list[Comparison]:
+    """Compare the taps of materials with the library, on walls of these materials, with the simulated joystick."""
     output = output_of(config, config.servo.rate_hz)
     return [
         _on_wall(config, output, strikes, speed_m_per_s, axis)
@@ -319,12 +321,12 @@ def acceleration_on(sim: Sim, force_n: Floats, rate_hz: float, stiffness_n_per_m
     return acceleration
 
 
-def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_s: float, axis: Axis) -> Verdict:
-    """Compare a tap on a wall with the library; `strikes` are those of the tap's mode and of any second mode."""
+def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_s: float, axis: Axis) -> Comparison:
+    """Compare a tap on a wall with the library. `strikes` are those of the tap's one or two modes."""
     first = replace(strikes[0], use="wall")
     shown, _ = displayed_mode(first.mode, output)
     if shown is None:
-        return Verdict(first, None, 0.0, 1.0, 0.0)
+        return Comparison(first, None, 0.0, 1.0, 0.0)
     rate_hz, material = config.servo.rate_hz, config.materials[first.material]
     lasting_s = max(5.0 / strike.mode.decay_rate_per_s for strike in strikes) + SIMULATION_TAIL_S
     force = tap_force(config, first.material, speed_m_per_s, round(lasting_s * rate_hz), axis=axis)
@@ -335,10 +337,10 @@ def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_
         each.coefficient_m_per_s2 * waveform(each.mode, count, rate_hz * PARTS_PER_PERIOD) for each in strikes
     )
     assert material.tap is not None
-    # A tap pushes along the wall's normal n, its tangent (n_y, -n_x), or between.
+    # A tap pushes along the wall's normal n, along its tangent (n_y, -n_x), or in a direction between them.
     across, along = material.tap.aim
     towards = (across, -along) if axis == "x" else (along, across)
     error, strength = compared(
         moved[onset:] @ np.array(towards), np.asarray(reference), rate_hz * PARTS_PER_PERIOD, output
     )
-    return Verdict(first, shown.frequency_hz, float(np.hypot(*force.T).max()), error, strength)
+    return Comparison(first, shown.frequency_hz, float(np.hypot(*force.T).max()), error, strength)

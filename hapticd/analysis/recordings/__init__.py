@@ -1,8 +1,8 @@
-"""Recordings of surfaces from .csv, .npz and .wav files: conversion to SI units on one uniform clock, and faults.
+"""Recordings of surfaces from .csv, .npz and .wav files: conversion to SI units and a uniform clock, and faults.
 
-files     the bytes of a recording's file, and its columns as numbers
-clock     quantities and their units; columns on a uniform clock, with jitter and gaps of their times corrected
-clipping  clipped samples
-spans     the spans in which a mask of samples is true
+files     reads a recording's file as columns of numbers
+clock     quantities and units; resampling to a uniform clock, which corrects jitter and gaps of the times
+clipping  finds clipped samples
+spans     finds the spans in which a mask of samples is true
 sensor    response of a sensor's mounting and filter to a decaying sinusoid
 """

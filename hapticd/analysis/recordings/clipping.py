@@ -10,22 +10,19 @@ from hapticd.analysis.recordings.spans import Bools, spans_of
 from hapticd.analysis.statistics import Floats
 
 MIN_CLIPPED_RUN_SAMPLES: Final = 3
-"""Fewest equal samples at the largest or the smallest value that count as a clipped peak."""
+"""Smallest number of successive equal samples, at an end of the range, that count as a clipped peak."""
 MIN_CLIPPED_EDGE_STEPS: Final = 3.0
-"""A clipped peak is entered or left by a change of more than this many quantization steps. The peak of a slow signal
-with coarse steps also rests at its highest step, but reaches it one step at a time."""
+"""A clipped peak begins or ends with a change of more than this number of quantization steps. The peak of a slow signal
+with coarse steps also rests at its highest step, but reaches this step by changes of one step."""
 MAX_SHORT_RUN_SAMPLES: Final = 4
 """Longest run of equal samples that noise and coarse steps can cause at the peak of a pulse without clipping."""
 MIN_SHORT_RUN_EDGE_SIGMAS: Final = 4.0
-"""A short run counts as clipped only if it is entered or left by a change of more than this many standard deviations of
-the noise. Clipping after a smaller change would remove little more than noise."""
+"""A short run counts as clipped only if it begins or ends with a change of more than this number of standard deviations
+of the noise. Clipping after a smaller change would remove little more than noise."""
 
 
 def clipped(values: Floats, noise: float = 0.0) -> Bools:
-    """Return a mask (n,) of the clipped samples.
-
-    `noise` is the standard deviation of the samples at rest, 0 if it is unknown.
-    """
+    """Return a mask (n,) of the clipped samples. `noise` is the standard deviation at rest, 0 if unknown."""
     found = np.zeros(len(values), dtype=np.bool_)
     steps = np.abs(np.diff(values))
     if not steps.any():

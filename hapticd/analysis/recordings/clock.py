@@ -1,6 +1,6 @@
-"""The quantities of a recording and their units, and its columns on a uniform clock.
+"""Quantities of a recording and their units, and resampling of its columns to a uniform clock.
 
-Jitter of the times is corrected by resampling, gaps are bridged by straight lines, and worse times are refused.
+Resampling corrects jitter of the times. Gaps are bridged by straight lines. Worse times are refused.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ COLUMN_OF: Final[dict[Quantity, str]] = {
     "tangential_position": "tangential_position_m",
     "speed": "speed_m_per_s",
 }
+"""Name of the column of each quantity in SI units."""
 _METRES_PER_UNIT: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 UNITS_OF: Final[dict[Quantity, dict[str, float]]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -34,20 +35,21 @@ UNITS_OF: Final[dict[Quantity, dict[str, float]]] = {
     "tangential_position": _METRES_PER_UNIT,
     "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
 }
+"""Units of each quantity that a recording may have, with their values in SI units."""
 MIN_RECORDING_SAMPLES: Final = 16
 """A shorter recording holds no tap or stroke."""
 MAX_RECORDING_SAMPLES: Final = 20_000_000
-"""Limit of memory: 160 MB per column."""
+"""Larger recordings would take more than 160 MB of memory per column."""
 MIN_RECORDING_RATE_HZ: Final = 100.0
-"""A lower rate usually means that the times are in another unit."""
+"""A lower rate usually means that the times are in the wrong unit."""
 MAX_RECORDING_RATE_HZ: Final = 1e6
-"""A higher rate usually means that the times are in another unit."""
+"""A higher rate usually means that the times are in the wrong unit."""
 MAX_UNIFORM_DEVIATION_PERIODS: Final = 1e-3
-"""Times that deviate at most by this fraction of a period from a uniform clock are taken as uniform."""
+"""Times count as uniform if they deviate by at most this fraction of a period from a uniform clock."""
 MAX_JITTER_PERIODS: Final = 0.5
 """A larger deviation from a uniform clock, in periods, means lost or doubled samples."""
 MAX_RATE_MISMATCH: Final = 0.02
-"""Largest relative difference between a given and a measured rate that are taken as the same."""
+"""Largest relative difference between a given and a measured rate that count as equal."""
 MIN_SAMPLES_PER_GAP: Final = 50
 """A recording may have one gap per this many samples; a short one may have three."""
 
@@ -55,7 +57,8 @@ MIN_SAMPLES_PER_GAP: Final = 50
 def uniform(found: Columns, rate_hz: float | None, rounding_s: float) -> tuple[Columns, float, Gaps]:
     """Return the columns on a uniform clock, its rate in Hz, and the gaps, in which samples are interpolated linearly.
 
-    `rounding_s` is the rounding of the times as far as it is known; coarser rounding is detected. Raises ValueError.
+    `rounding_s` is the known rounding of the times, 0 if unknown; coarser rounding is detected. Raises ValueError for
+    columns or times that are not usable.
     """
     check_columns(found)
     columns: Columns = {quantity: values for quantity, values in found.items() if quantity != "time"}
@@ -92,10 +95,10 @@ def check_columns(found: Columns) -> None:
                 f"{COLUMN_OF[quantity]} is NaN or infinite in {len(broken)} samples, first in sample {broken[0] + 1}"
             )
         # Far above physical values, but small enough that a fit does not overflow. Times may be Unix times.
-        largest = 1e12 if quantity == "time" else 1e9
-        if (large := float(np.abs(values).max(initial=0.0))) > largest:
+        limit = 1e12 if quantity == "time" else 1e9
+        if (large := float(np.abs(values).max(initial=0.0))) > limit:
             raise ValueError(
-                f"{COLUMN_OF[quantity]} must be at most {largest:g} in magnitude, reaches {large:.3g}: "
+                f"{COLUMN_OF[quantity]} must be at most {limit:g} in magnitude, reaches {large:.3g}: "
                 "is it in another unit, or another column?"
             )
 
@@ -105,7 +108,8 @@ def _clock_from_times(
 ) -> tuple[Callable[[Floats], Floats] | None, float, Gaps]:
     """Return a function that resamples a column (n,) to a uniform clock, the clock's rate in Hz, and its gaps.
 
-    If the clock is already uniform, None is returned in place of the function. Raises ValueError.
+    Returns None in place of the function if the times are already uniform. Raises ValueError for times that are not
+    usable.
     """
     since_s = time_s - time_s[0]
     at = np.arange(len(time_s)) - (len(time_s) - 1) / 2
@@ -190,8 +194,8 @@ def _sample_numbers(time_s: Floats, rounding_s: float) -> tuple[npt.NDArray[np.i
 def _is_wandering_clock(since_s: Floats, period_s: float) -> bool:
     """Return whether the times are those of a clock that drifts slowly.
 
-    Steps of such a clock deviate by less than MAX_JITTER_PERIODS, and the mean rates of up to 20 parts of the recording
-    by less than 1 %. A column that is not a time, such as a position, changes faster.
+    Its steps deviate by less than MAX_JITTER_PERIODS from the period, and the mean rates of up to 20 sections by less
+    than 1 %. A column that is not a time, such as a position, changes faster.
     """
     steps = np.diff(since_s) / period_s
     edges = np.linspace(0, len(since_s) - 1, min(20, len(steps) // 50 + 1) + 1).round().astype(int)
@@ -202,7 +206,7 @@ def _is_wandering_clock(since_s: Floats, period_s: float) -> bool:
 def _decimal_rounding_s(time_s: Floats) -> float:
     """Return the step to which times are rounded, in s, such as 1e-3; 0 if no rounding is found.
 
-    Only the later half is read: with a fixed number of digits, the largest times have the fewest decimal places.
+    Only the later half is examined: with a fixed number of digits, late times have the fewest decimal places.
     """
     later = time_s[len(time_s) // 2 :]
     for place in range(1, 10):
@@ -215,7 +219,7 @@ def _decimal_rounding_s(time_s: Floats) -> float:
 def _resampled(time_s: Floats, values: Floats, even_s: Floats, gaps: Gaps) -> Floats:
     """Resample values (n,) to the times `even_s` by a cubic spline, in gaps by straight lines.
 
-    Between two samples at the same end of the range the value is kept, so that clipped samples remain detectable.
+    Between two samples at the same end of the range, the result is at that end, so that clipping remains detectable.
     """
     require_scipy()
     from scipy.interpolate import CubicSpline

@@ -24,17 +24,18 @@ from hapticd.base.errors import HapticdError, known_names, quoted
 from hapticd.base.yaml_source import printable, read_file
 
 MAX_RECORDING_BYTES: Final = 2**29
-"""Largest file of a recording; it is read into memory."""
+"""Largest file of a recording, as the file is read into memory."""
 MAX_UNPACKED_BYTES: Final = 2**31
-"""Largest total size of the arrays of an .npz, by its directory: a small archive may unpack to more than the memory."""
+"""Largest total size of the arrays in an .npz, as a small archive may unpack to more than the memory."""
 MAX_CHANNELS: Final = 64
-"""Most channels of a .wav, or columns of an array of two dimensions."""
+"""Largest number of channels of a .wav, or of columns of an array of two dimensions."""
 _UNCLOSED_QUOTE_TEXT: Final = "is not a table of numbers: is a quotation mark not closed?"
+"""Fault of a .csv if the faulty line cannot be found."""
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The columns of a file, whose numbers are read on demand."""
+    """The columns of a recording's file. Their numbers are read on demand."""
 
     names: Sequence[str]
     """Names of the columns, in their order."""
@@ -44,17 +45,15 @@ class Table:
     """Units that the file itself gives, by the index of the column."""
     rate_hz: float | None = None
     others: Mapping[str, str] = field(default_factory=dict)
-    """Other content by its name, with the reason why it is not a column, as the end of a sentence."""
+    """Content that is not a column, by its name: the reason, as a predicate for an error text."""
     rounded: Callable[[int, Floats], float] = lambda which, values: 0.0
-    """Function that returns the rounding step of a column's data type, such as float32; 0 if it is unknown."""
+    """Rounding step of the data type (such as float32) of the column with this index and these values; 0 if unknown."""
 
     def index_of(self, column: str | int) -> int:
-        """Return the index of the column with this name, or this number from 1. Raises ValueError if there is none."""
+        """Return the index of the column with this name or number (from 1). Raises ValueError unless it is unique."""
         if isinstance(column, str) and column in self.names:
-            if self.names.count(column) > 1:
-                raise ValueError(
-                    f"has {self.names.count(column)} columns {quoted(column)}: set the column's number in the YAML"
-                )
+            if (count := self.names.count(column)) > 1:
+                raise ValueError(f"has {count} columns {quoted(column)}: set the column's number in the YAML file")
             return self.names.index(column)
         number = str(column)
         if number in self.others:
@@ -65,12 +64,12 @@ class Table:
 
 
 def shown_name(text: str) -> str:
-    """Return a name in quotation marks, on one line and shortened."""
+    """Return a name in quotation marks, shortened to one line."""
     return f"'{text}'" if short_name(text) == text else quoted(text)
 
 
 def short_name(name: str) -> str:
-    """Return a name, shortened and quoted if it is long or not printable."""
+    """Return a name; a long or unprintable one is shortened and quoted."""
     return name if name.isprintable() and len(name) <= 60 else quoted(name)
 
 
@@ -80,9 +79,9 @@ def ending_of(name: str) -> str:
 
 
 def file_bytes(name: str, max_bytes: int) -> bytes:
-    """Return the bytes of a regular file.
+    """Return the bytes of a regular file. Raises ValueError for a file that is too large or unreadable.
 
-    Raises ValueError for other files: a pipe may block, a device may be endless.
+    Pipes and devices are refused, too: a pipe may block, a device may be endless.
     """
     try:
         found = os.stat(name)
@@ -178,7 +177,7 @@ def _csv_columns(text: str, first: int, delimiter: str, width: int, indices: Seq
 
 
 def _csv_fault(text: str, first: int, delimiter: str, width: int, indices: Sequence[int]) -> str | None:
-    """Return the fault of the first line from which these columns cannot be read, or None."""
+    """Return the fault of the first line in which these columns are unreadable; None without such a line."""
     for number, line in _lines(text):
         if number < first or line.lstrip().startswith("#"):
             continue
@@ -218,9 +217,9 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _delimiter(line: str) -> str:
-    """Return the delimiter of a line's cells, "" for blanks.
+    """Return the delimiter of the cells of a line: semicolon, tab or comma; "" for blanks.
 
-    With semicolons or tabs, a comma is a decimal comma.
+    In a line with semicolons or tabs, a comma is a decimal comma.
     """
     bare = re.sub(r'"[^"]*"', '""', line)
     for delimiter in ";\t,":
@@ -239,7 +238,7 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _number(cell: str, delimiter: str) -> float | None:
-    """Return the number in a cell, None if it holds something else."""
+    """Return the number in a cell; None if the cell does not hold a number."""
     try:
         return float(cell if delimiter == "," else cell.replace(",", "."))
     except ValueError:
@@ -250,7 +249,7 @@ def _number(cell: str, delimiter: str) -> float | None:
 
 
 def npz_table(content: bytes) -> Table:
-    """Return the columns of an .npz: each array of one dimension, and `name[1]`, `name[2]` ... of each array of two.
+    """Return the columns of an .npz: arrays of one dimension, and `name[1]`, `name[2]` ... of an array of two.
 
     Arrays of Python objects are not loaded.
     """
@@ -350,3 +349,4 @@ def wav_table(content: bytes) -> Table:
 
 
 TABLE_READERS: Final[Mapping[str, Callable[[bytes], Table]]] = {".csv": csv_table, ".npz": npz_table, ".wav": wav_table}
+"""Functions that read the bytes of a file as a Table, by the ending of its name."""

@@ -39,7 +39,7 @@ class Sensor(Model):
 
     @property
     def poles(self) -> tuple[complex, ...]:
-        """Poles of the sensor's transfer function in rad/s; empty for an ideal sensor."""
+        """Poles of the transfer function, in rad/s; empty for an ideal sensor."""
         found: list[complex] = []
         if self.mounting_hz is not None:
             damping = self.mounting_damping
@@ -51,7 +51,7 @@ class Sensor(Model):
         return tuple(found)
 
     def response(self, pole: complex, since_s: npt.NDArray[np.float64]) -> tuple[Complexes, Complexes, Complexes]:
-        """Return the response y to exp(p t), dy/dp and dy/dt, each (n,), for p = `pole` (rad/s), t = `since_s` >= 0."""
+        """Return the response y to exp(p t), and dy/dp and dy/dt, (n,) each, for p = `pole` and t = `since_s` >= 0."""
         poles = np.array(self.poles, dtype=np.complex128)
         gain = complex(np.prod(-poles / (pole - poles)))
         turned = np.exp(pole * since_s)

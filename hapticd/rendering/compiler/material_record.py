@@ -20,10 +20,10 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import displayed_wave_rate, touched_by
 
 Numbers: TypeAlias = dict[str, npt.NDArray[np.float64]]
-"""Arrays of a material in the table's `numbers`, by the member of its record that holds their first index."""
+"""A material's arrays for the table's `numbers`, by the member of the record that holds an array's first index."""
 
 _DEFAULT_AIM: Final = (1.0, 0.0)
-"""Aim (AimedKeys.aim) of a tap or a rupture that gives no direction; also the default in the core."""
+"""Aim (AimedKeys.aim) of a tap or a rupture without a direction, along the normal; also the core's default."""
 _SIGNED_MEMBERS: Final = (
     *("gain_re", "gain_im", "tail_re", "tail_im"),
     *("free_gain_re", "free_gain_im", "free_tail_re", "free_tail_im"),
@@ -32,7 +32,7 @@ _SIGNED_MEMBERS: Final = (
 
 
 def struck_modes(material: Material) -> Iterator[Mode]:
-    """Yield the modes of a material that a device may play itself, as effects: those of tap and rupture."""
+    """Yield the modes of a material that a device may play as effects: those of tap and rupture."""
     if material.tap is not None and material.tap.one_mode is not None:
         yield material.tap.one_mode
     if material.rupture is not None:
@@ -44,7 +44,7 @@ def material_record(
 ) -> tuple[CData, Numbers]:
     """Return a material's record, a `struct hd_material *` without the indices of its arrays, and these arrays.
 
-    `noise_index` is the index of the material's noise, if any. `effects` are what a device plays in place of modes.
+    `noise_index` is the index of the material's noise, if any. `effects` are effects that a device plays, by mode.
     """
     record, numbers = ffi.new("struct hd_material *"), Numbers()
     record.stiffness_n_per_m = material.stiffness_n_per_m
@@ -120,7 +120,7 @@ def _put_tap(
 
 
 def _put_waveform(record: CData, waveform: Waveform, slope: float, coefficient: float, output: Output) -> None:
-    """Fill in the members of a material's record for a tap that plays a waveform."""
+    """Set the members of a material's record for a tap that plays a waveform."""
     rate_hz = displayed_wave_rate(waveform, output)
     shown_hz = waveform.rate_hz if rate_hz is None else rate_hz
     tap, slowed = record.tap, waveform.rate_hz / shown_hz

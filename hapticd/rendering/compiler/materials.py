@@ -22,10 +22,10 @@ from hapticd.rendering.device_output import Output
 
 
 class Effects(Protocol):
-    """Modes that a device plays itself, as effects, instead of the servo."""
+    """Modes that a device plays as effects, in place of the servo."""
 
     def take(self, mode: Mode) -> Effect | None:
-        """Register a use of a mode, and return the effect played in its place, or None."""
+        """Register a use of a mode; return the effect that the device plays in its place, or None."""
         ...
 
     def give(self, mode: Mode) -> None:
@@ -35,7 +35,7 @@ class Effects(Protocol):
 
 @dataclass(slots=True)
 class _Used:
-    """A material that an object of the scene has, and its parts in the table."""
+    """A material that objects of the scene have, and its records in the table."""
 
     name: str
     material: Material
@@ -43,14 +43,14 @@ class _Used:
     noise: int | None = None
     """Index of the material's noise."""
     filters: tuple[Noise, int, Design] | None = None
-    """Texture of the noise, version of its filters, and the filters."""
+    """Texture of the noise, version of the filters, and the filters."""
     numbers: Numbers = field(default_factory=dict)
     struck: tuple[Mode, ...] = ()
-    """The material's modes that are registered with the effects."""
+    """The modes of the material whose use is registered with the effects."""
 
 
 class Materials:
-    """The materials in use: a record and an index for each, kept as long as an object has the material."""
+    """The records of the materials in use. A material keeps its index as long as an object has the material."""
 
     def __init__(self, output: Output, effects: Effects | None) -> None:
         self.output = output
@@ -62,7 +62,7 @@ class Materials:
         self._source: Mapping[str, Material] = {}
         self._rows = Records("struct hd_material", MATERIAL_DTYPE)
         self._prepared: dict[tuple[Noise, Output], Design] = {}
-        """Filters that were designed in advance for the current change."""
+        """Filters that `prepare` designed for the next update."""
         self._versions = 0
         self._noises = records(NOISE_DTYPE, 0)
         self._numbers = np.zeros(0)
@@ -71,7 +71,7 @@ class Materials:
         """Whether anything changed since the last `write`."""
 
     def turn_to(self, source: Mapping[str, Material]) -> list[int]:
-        """Take the materials of `source`, which must stay unchanged; return the indices of changed ones in use."""
+        """Replace all materials by those of `source`, which must stay unchanged; return the indices that changed."""
         if source is self._source:
             return []
         self._source = source
@@ -86,7 +86,7 @@ class Materials:
         return stale
 
     def turn_to_output(self, output: Output) -> list[int]:
-        """Compile all materials for another output (device and rate), and return the indices of all in use."""
+        """Compile all materials in use for another output (device and rate); return their indices."""
         self.output = output
         used = sorted(self._used)
         for index in used:
@@ -95,7 +95,7 @@ class Materials:
         return used
 
     def names(self) -> tuple[str, ...]:
-        """Return the names of the materials by index, empty where the index is free."""
+        """Return the names of the materials in the order of their indices, "" for a free index."""
         return tuple(self._used[index].name if index in self._used else "" for index in range(self._places.count))
 
     def use(self, name: str) -> int:
@@ -110,7 +110,7 @@ class Materials:
         return index
 
     def release(self, index: int) -> None:
-        """Count one use of a material less, and free its index after the last."""
+        """Count one use of a material less; after the last use, free its index."""
         used = self._used[index]
         used.uses -= 1
         if used.uses == 0:
@@ -145,7 +145,7 @@ class Materials:
         self.changed = True
 
     def _release_record_parts(self, used: _Used) -> None:
-        """Release the arrays and effects of a material's record; its noise stays."""
+        """Release the arrays and effects of a material's record, but not its noise."""
         self._numbers_changed |= bool(used.numbers)
         for mode in used.struck:
             assert self._effects is not None
@@ -163,7 +163,7 @@ class Materials:
         return finish(design(texture, self.output)) if found is None else found
 
     def prepare(self, name: str, material: Material) -> Steps[None]:
-        """Compute in advance the slow parts of a material that will be compiled under this name.
+        """Compute in advance the slow parts of the compilation of a material under this name.
 
         These are filters (one per step), compensated shapes, and the spectrum of a waveform.
         """
@@ -179,11 +179,11 @@ class Materials:
         yield
 
     def forget_prepared(self) -> None:
-        """Discard the results of `prepare`, whether or not the prepared materials came into use."""
+        """Discard the filters that `prepare` designed."""
         self._prepared = {}
 
     def changing(self, source: Mapping[str, Material]) -> list[str]:
-        """Return the names in use for which `source` has another material."""
+        """Return the names of materials in use for which `source` has another material."""
         if source is self._source:
             return []
         return [used.name for used in self._used.values() if source.get(used.name, used.material) is not used.material]

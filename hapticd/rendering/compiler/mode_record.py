@@ -12,14 +12,14 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import NO_SURFACE, Touched, displayed_mode, struck_shapes
 
 Effect: TypeAlias = tuple[int, float, float]
-"""Effect that a device plays in place of a mode: id, ratio of largest level to coefficient, duration in s."""
+"""Effect that a device plays in place of a mode: id, ratio of its largest level to the coefficient, duration in s."""
 
 _NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
-"""Members of `struct hd_mode` for a mode without a tail."""
+"""Values of the tail's members of `struct hd_mode` for a mode without a tail."""
 _NO_FREE: Final[tuple[float, ...]] = (0.0,) * 6
-"""Members of `struct hd_mode` that serve strikes without a surface, for a mode that is not compensated."""
+"""Values of the members of `struct hd_mode` for strikes without a surface, if the mode is not compensated."""
 _NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * MAX_CORRECTED_SAMPLES), 0, 0)
-"""Members of `struct hd_mode` for a mode without kicks."""
+"""Values of the members `kicks` of `struct hd_mode` for a mode without kicks (corrections of single samples)."""
 
 
 def mode_record(
@@ -32,8 +32,8 @@ def mode_record(
 ) -> tuple[float | list[float], ...]:
     """Return the members of a mode's record, in the order of `struct hd_mode`.
 
-    `amplitude_per_unit` (m/s^2 per unit of the excitation) is reported, `coefficient_per_unit` sets the force. The
-    compensation is designed for the surface `touched`; at a strike, the core adapts it to the surface in contact.
+    For each unit of excitation, `amplitude_per_unit` (m/s^2) is reported, and `coefficient_per_unit` (m/s^2) sets the
+    force. The compensation is designed for the surface `touched`; a strike adapts it to the surface in contact.
     """
     shown, factor = displayed_mode(mode, output)
     decay, omega = mode.decay_rate_per_s, mode.angular_frequency_rad_per_s
@@ -46,8 +46,8 @@ def mode_record(
         shapes = struck_shapes(shown, output, touched)
     period = 1.0 / output.rate_hz
     rotor = cmath.exp(complex(-decay * period, omega * period))
-    heard = mode if shown is None else shown
-    peak, peak_time_s, gain, tail = heard.peak, heard.peak_time_s, complex(1.0), _NO_TAIL
+    played = mode if shown is None else shown
+    peak, peak_time_s, gain, tail = played.peak, played.peak_time_s, complex(1.0), _NO_TAIL
     free, kicks = _NO_FREE, _NO_KICKS
     if shapes is not None:
         assert output.dynamics is not None

@@ -1,7 +1,7 @@
 """Modes of taps and grooves that depend on speed or force: the tables that a strike interpolates.
 
-The design of a compensated mode takes milliseconds. So modes are designed at nodes of the table's range when the scene
-is compiled, all with the pole of one tail. A strike interpolates linearly between two nodes
+The compensation of a mode takes milliseconds to compute. So when a scene is compiled, modes are compensated at nodes of
+the table's range, all with the same pole of the tail. A strike interpolates linearly between two nodes
 (csrc/scene/hd_table_numbers.h).
 """
 
@@ -31,29 +31,29 @@ from hapticd.rendering.displayability import (
 )
 
 GROOVE_NODES: Final = 17
-"""Number of frequencies at which grooves are designed; at most HD_TUNE_NODES."""
+"""Number of frequencies at which modes of grooves are compensated; at most HD_TUNE_NODES."""
 TAP_STEPS: Final = 16
-"""Approximate number of steps from the first tap speed to the last; the nodes must not exceed HD_TUNE_NODES."""
+"""Approximate number of steps from the lowest to the highest tap speed. The nodes must not exceed HD_TUNE_NODES."""
 _PEAK_COLUMN: Final = TUNE_NODE_NUMBERS - 2
-"""Column of a node that holds the peak in contact; the peak without a surface follows."""
+"""Column of the nodes with the peak force in contact; the next column has the peak without a surface."""
 
 
 class TabledModes(NamedTuple):
     """A table of modes as the C core holds it."""
 
     base: Mode
-    """A displayable mode from which the values common to all strikes are taken."""
+    """A displayable mode with the values that all strikes share."""
     tail: Ringing | None
     """Tail of the compensation of all modes; only its pole is used."""
     nodes: npt.NDArray[np.float64]
-    """(n, HD_TUNE_NODE), or (0, HD_TUNE_NODE) without compensation."""
+    """Compensated modes, (n, HD_TUNE_NODE); (0, HD_TUNE_NODE) without compensation."""
     numbers: npt.NDArray[np.float64]
-    """All values, including the nodes, in the core's order."""
+    """All numbers of the table, including the nodes, in the order of the core."""
 
     def complete(self, record: CData, mode: CData, output: Output) -> None:
-        """Put the values common to all strikes into a `struct hd_material` and its `struct hd_mode` for `base`.
+        """Put the values that all strikes share into a `struct hd_material` and its `struct hd_mode` for `base`.
 
-        They are the frequency above which modes are lowered or muted, and the tail, without kicks.
+        These are the frequency above which modes are lowered or muted, and the tail. Kicks are removed.
         """
         record.tune_highest_rad_per_s, record.tune_mutes = _highest_rad_per_s(output), output.undisplayable == "mute"
         if len(self.nodes) == 0:
@@ -70,7 +70,7 @@ class TabledModes(NamedTuple):
 
 
 def _highest_rad_per_s(output: Output) -> float:
-    """Return the highest displayable angular frequency."""
+    """Return the highest displayable angular frequency, in rad/s."""
     return 2.0 * math.pi * DISPLAYABLE_RATE_FRACTION * output.carried_hz
 
 
@@ -109,7 +109,7 @@ def tabled_tap(material: Material, output: Output) -> TabledModes | None:
 
 
 def _speeds(table: ModeTable) -> tuple[float, ...]:
-    """Return all speeds of the table, with about equal steps between them."""
+    """Return the speeds (m/s) of the table's points, with further speeds between them at about equal steps."""
     points = table.speeds_m_per_s
     span = points[-1] - points[0]
     found = [points[0]]
@@ -141,7 +141,7 @@ def _nodes(
 
 
 def _row(argument: float, free: Shape, touched: Shape) -> tuple[float, ...]:
-    """Return the numbers of a node of the table of modes, in the order of enum hd_tune_number."""
+    """Return the numbers of a node, in the order of enum hd_tune_number, from its frequency or speed and its shapes."""
     tails = [0j if shape.tail is None else shape.tail.gain for shape in (touched, free)]
     gains = (touched.mode.gain, tails[0], free.mode.gain, tails[1])
     return argument, *(part for gain in gains for part in (gain.real, gain.imag)), touched.peak, free.peak

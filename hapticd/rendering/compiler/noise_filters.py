@@ -1,4 +1,4 @@
-"""The filters of textures that are noise, designed for a rate, as a grid over speeds and forces."""
+"""Filters of noise textures, designed for a rate, as a grid over speeds and forces."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Design(NamedTuple):
     speeds: tuple[float, ...]
     forces: tuple[float, ...]
     nodes: npt.NDArray[np.float64]
-    """Array (speeds, forces, numbers): RMS in m/s^2, reflection coefficients (order,), any ladder taps (order + 1,)."""
+    """Array (speeds, forces, numbers): RMS in m/s^2, `order` reflection coefficients, any order + 1 ladder taps."""
     muted: bool = False
-    """Whether the noise is silent."""
+    """Whether the noise is muted."""
 
     def numbers(self) -> npt.NDArray[np.float64]:
         """Return speeds, forces and nodes as the core's table holds them."""
@@ -40,7 +40,7 @@ class Design(NamedTuple):
 
 
 MUTED_DESIGN: Final = Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
-"""The design of a noise that is silent."""
+"""Design of a muted noise."""
 
 
 class Model(NamedTuple):
@@ -55,7 +55,7 @@ class Model(NamedTuple):
 def design(texture: Noise, output: Output) -> Steps[Design]:
     """Design the filters of a texture, one in each step (`yield`) of the computation.
 
-    The filter of a model that was identified at another rate takes tens of milliseconds.
+    Steps of tens of milliseconds convert models that were identified at another rate.
     """
     if isinstance(texture, Autoregressive):
         for model in texture.models:
@@ -80,12 +80,12 @@ def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: fl
 
 @lru_cache(maxsize=16)
 def _shown_grid(texture: Autoregressive, rate_hz: float) -> Design:
-    """Return the filters of a texture's models at a rate, cached as objects come and go."""
+    """Return the filters of a texture's models at a rate, cached as objects are often removed and added."""
     return grid([_shown_model(model, texture.rate_hz, rate_hz) for model in texture.models])
 
 
 def grid(models: Sequence[Model]) -> Design:
-    """Return the grid over all speeds and forces of the models, with the highest of their orders.
+    """Return the filters at the nodes of a grid: all speeds and all forces of the models, with the highest order.
 
     Each model is a node, with zeros beyond its own order (which do not change the model). A node without a model is a
     mean of all models, weighted by their inverse squared distance (Shepard, 1968) on axes scaled to their ranges. The

@@ -1,4 +1,4 @@
-"""Arrays of C records that grow in place, and their free indices."""
+"""Arrays of C records that grow when full, and their free indices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hapticd.base.core import CData, pointer, records
 
 
 def next_version(version: int) -> int:
-    """Return the version number of a record after a change: 32 bits, and never 0."""
+    """Return the version number that follows `version`: 32 bits, never 0."""
     return version % 0xFFFFFFFF + 1
 
 
@@ -40,14 +40,14 @@ class Places:
 
 
 class Records:
-    """C records in memory that C reads in place, doubled in size when full."""
+    """An array of C records, which the core reads in place; a full array is replaced by one of twice the size."""
 
     def __init__(self, ctype: str, dtype: np.dtype[np.void]) -> None:
         self._ctype = ctype
         self._hold(records(dtype, 16))
 
     def _hold(self, array: npt.NDArray[np.void]) -> None:
-        """Set the array of records, its view as bytes, and its pointer."""
+        """Use `array` as the records: set the array, its view as bytes, and its pointer."""
         self.array = array
         self.memory = array.view(np.uint8).data
         self.pointer: CData = pointer(self._ctype + "[]", array)

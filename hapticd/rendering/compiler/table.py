@@ -6,8 +6,8 @@
     pieces[]     pieces of walls with patches, one wall after the other; a piece is an interval of one material
     noises[]     noises of materials, each at its index; `numbers` holds their filters
 
-An update of one object costs the same in a large scene as in a small one. The lowest free index is used first, so
-arrays are no longer than the largest scene needed. All input has been validated.
+An update of one object takes the same time in a large scene as in a small one. The lowest free index is used first, so
+that arrays stay as short as possible. All input has been validated.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.surface_table import SurfaceTable
 
 _OBJECT_RECORD = struct.Struct("=8I6d")
+"""Members of `struct hd_object`: eight integers of 32 bits, then six doubles."""
 if _OBJECT_RECORD.size != OBJECT_DTYPE.itemsize:
     raise ImportError("compiler/table.py: _OBJECT_RECORD must have the size of struct hd_object (csrc/api/hd_api.h)")
 
 MAX_BRAKED_MOMENTUM_PART: Final = 0.1
-"""Largest fraction of the handle's momentum that the passivity controller's brake removes in a period."""
+"""Largest fraction of the handle's momentum that the passivity controller may remove in a period."""
 
 _PERIOD_TOLERANCE: Final = 1e-6
-"""Ages are rounded up to multiples of the period, but down if they exceed one by at most this fraction of a period."""
+"""Ages are rounded up to multiples of the period, but down if they exceed a multiple by at most this many periods."""
 _NO_FIELD: Final = (0.0,) * 4
 """Force law of an object that is not a field: no force."""
 _QUANTA_PER_UNIT: Final = 1 << 1074
@@ -101,16 +102,16 @@ class Compiler:
     """
 
     def __init__(self, output: Output, effects: Effects | None = None) -> None:
-        """Create an empty table; `effects` are the modes that the device plays as effects, if it plays any."""
+        """Create an empty table. `effects` are the modes that the device plays as effects; None: no modes."""
         self._objects = Records("struct hd_object", OBJECT_DTYPE)
         self._places = Places()
         self._slots: dict[str, int] = {}
         self._owners: list[tuple[int, str] | None] = []
         """Generation and id, by slot."""
         self._lost: dict[str, _Owner] = {}
-        """Former slot and generation of the ids that lost theirs in the last update."""
+        """Slot and generation, before the last update, of the ids that lost them in the update."""
         self._retired: dict[_Owner, str] = {}
-        """Ids of removed objects, to which events that are not yet read may refer."""
+        """Ids of removed objects to which unread events may refer."""
         self._retiring: deque[tuple[int, list[_Owner]]] = deque()
         """Revisions and the owners that they removed, the oldest first."""
         self._read_revision: int | None = None
@@ -121,7 +122,7 @@ class Compiler:
         """Sums over all fields in 1/_QUANTA_PER_UNIT, updated exactly at each change of a field (docs/adr/0005)."""
         self._changed: set[int] = set()
         self.touched: dict[int, None] = {}
-        """Slots of surfaces that the last update wrote, or of which it changed a material."""
+        """Slots of the surfaces that, or whose materials, the last update changed."""
         self._changed_slots = np.zeros(0, np.uint32)
         self._stamp = 0
         self._table: CData = ffi.new("struct hd_table *")
@@ -129,9 +130,9 @@ class Compiler:
         self._table.all_changed = 1
 
     def turn_to(self, output: Output) -> None:
-        """Compile the scene for another output, such as another rate.
+        """Compile the scene for another output (device and rate), and mark the entire table as changed.
 
-        The next `update` marks the entire table as changed. Slots and generations stay.
+        Slots and generations stay. The next `update` returns the table.
         """
         self._turn_to(output)
         self._stamp = next_version(self._stamp)
@@ -151,7 +152,7 @@ class Compiler:
         self._table.handle_friction_n = 0.0 if known is None else known.friction_n
 
     def slot_of(self, id: str) -> tuple[int, int] | None:
-        """Return a surface's slot and generation (the number of the slot's owner); None for a field or unknown id."""
+        """Return the slot and generation (number of the slot's owner) of a surface; None for a field or unknown id."""
         slot = self._slots.get(id)
         owner = None if slot is None else self._owners[slot]
         return None if slot is None or owner is None else (slot, owner[0])
@@ -171,12 +172,12 @@ class Compiler:
         return [owner[1] for slot in slots if (owner := owners[slot]) is not None]
 
     def records_of(self, slots: Iterable[int]) -> Iterator[tuple[Any, ...]]:
-        """Return the members of `struct hd_object` of the surfaces at these slots."""
+        """Return the members of `struct hd_object` for the surfaces at these slots."""
         memory, size = self._objects.memory, _OBJECT_RECORD.size
         return (_OBJECT_RECORD.unpack_from(memory, slot * size) for slot in slots)
 
     def name_of(self, slot: int, generation: int) -> str | None:
-        """Return the id of the object that has, or had, a slot; None some time after its events were read.
+        """Return the id of the object that has, or had, a slot; None some time after the object's events were read.
 
         May be called from any thread.
         """
@@ -186,9 +187,9 @@ class Compiler:
         return self._retired.get((slot, generation))
 
     def events_read(self, revision: int) -> None:
-        """Report that all events up to and including the first tick with this revision of the scene were read.
+        """Note that all events up to and including the first tick with this revision of the scene were read.
 
-        The names of objects removed until then are released at the next update. May be called from any thread.
+        The next update releases the names of objects removed by then. May be called from any thread.
         """
         self._read_revision = revision
 
@@ -204,14 +205,14 @@ class Compiler:
         )
 
     def prepare(self, name: str, material: Material) -> Steps[None]:
-        """Compute in advance, filter by filter, what the next `update` needs if `name` is then this material.
+        """Compute in advance, filter by filter, the slow parts of an `update` with this material under this name.
 
-        The result of the update is the same as without `prepare`.
+        The result of the update does not change.
         """
         return self._materials.prepare(name, material)
 
     def forget_prepared(self) -> None:
-        """Discard the results of `prepare`, whether or not an update followed."""
+        """Discard the results of `prepare`."""
         self._materials.forget_prepared()
 
     def changing(self, materials: Mapping[str, Material]) -> list[str]:
@@ -227,20 +228,20 @@ class Compiler:
     ) -> CData:
         """Update the records of the objects `changed` and of all objects with a changed material.
 
-        `changed` are ids, in the scene or not. `materials` defines every material of the scene, and must stay
-        unchanged. Returns the `struct hd_table *`, which is the same at every call and stays valid. Its list
-        `changed` grows until `published` is called.
+        `changed` are ids of new, changed and removed objects. `materials` defines all materials of the scene, and must
+        stay unchanged. Returns the `struct hd_table *`, the same at every call. Its list `changed` grows until
+        `published` is called.
         """
         self._lost = {}
         return self._update(scene, list(changed), materials, revision, {})
 
     def published(self) -> None:
-        """Clear the table's list of changes; call it after the table was published."""
+        """Clear the table's list of changes, after the table was published."""
         self._changed.clear()
         self._table.all_changed = 0
 
     def restore(self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int) -> None:
-        """Restore the table as it was before the last update, which was refused, slots and generations included.
+        """Undo the last update, which was refused: restore the table with its slots and generations.
 
         The arguments are those of an `update` to that state. The entire table is marked as changed.
         """
@@ -304,7 +305,7 @@ class Compiler:
         return table
 
     def _put(self, id: str, item: Surface, former: _Owner | None) -> None:
-        """Write the record of a surface; `former` is the slot and generation that the surface gets back."""
+        """Write the record of a surface. `former` is the slot and generation to restore, if any."""
         stamp = self._stamp
         shape, place = _place_of(item)
         material = self._materials.use(item.material)
@@ -348,7 +349,7 @@ class Compiler:
         self._changed.add(slot)
 
     def _retire(self, slot: int) -> None:
-        """Remove the object that owns a slot, and keep its id until its events were read."""
+        """Remove the object that owns a slot, and keep its id until the object's events were read."""
         owner = self._owners[slot]
         assert owner is not None
         generation, id = owner

@@ -31,7 +31,7 @@ class PatchedWalls:
     def __init__(self, materials: Materials) -> None:
         self._materials = materials
         self._pieces: dict[int, _Pieces] = {}
-        """Pieces by slot, in the order of their records."""
+        """Pieces by the slot of their wall, in the order of `records`."""
         self.records = records(PIECE_DTYPE, 0)
         """Records of all pieces, as of the last `write`."""
         self.changed = False
@@ -48,10 +48,7 @@ class PatchedWalls:
         return [slot for slot, pieces in self._pieces.items() if not sought.isdisjoint(pieces.materials)]
 
     def put(self, slot: int, wall: Wall | None) -> bool:
-        """Set the wall at a slot, None for no wall with patches, and return whether its pieces changed.
-
-        Unchanged pieces stay where they are.
-        """
+        """Set the wall at a slot, None for a wall without patches; return whether the pieces changed."""
         held = self._pieces.get(slot)
         if wall is None and held is None:
             return False
@@ -70,9 +67,9 @@ class PatchedWalls:
         return changed
 
     def _new_pieces(self, wall: Wall) -> _Pieces:
-        """Return the pieces of a wall and take its materials into use.
+        """Return the pieces of a wall, and count a use of each of its materials.
 
-        At a boundary, the ramp is limited to the shorter of the two neighbouring pieces.
+        At a boundary, the ramp is at most as wide as the shorter of the two pieces.
         """
         begins, names = wall.stretches()
         indices = {name: self._materials.use(name) for name in dict.fromkeys(names)}
@@ -85,9 +82,9 @@ class PatchedWalls:
         return _Pieces((wall.patches, wall.material, wall.patch_ramp_m), rows, frozenset(indices.values()))
 
     def write(self, table: CData, objects: npt.NDArray[np.void]) -> Iterator[int]:
-        """Put all pieces into a table, and the index of each wall's first piece into its object.
+        """Put all pieces into a table, and the index of each wall's first piece into its object's record.
 
-        Yields the slots of walls whose index changed.
+        Yields the slots of walls whose first piece has another index than before.
         """
         if self.changed:
             self.records = records(PIECE_DTYPE, sum(len(pieces.rows) for pieces in self._pieces.values()))
