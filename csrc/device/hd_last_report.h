@@ -1,7 +1,7 @@
 /* The last reports of a process that crashes: they set the device's force to zero. Control sets them up (hd_api.h); the
  * writer of a device checks whether it may still write. */
-#ifndef HD_LAST_REPORT_REPORT_H
-#define HD_LAST_REPORT_REPORT_H
+#ifndef HD_LAST_REPORT_H
+#define HD_LAST_REPORT_H
 
 #include <signal.h>
 

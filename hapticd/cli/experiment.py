@@ -39,7 +39,7 @@ def list_command(as_json: bool) -> None:
 @config_option
 @json_option
 def check_command(study: str, configs: tuple[str, ...], as_json: bool) -> int:
-    """Check whether the device can display the stimuli of STUDY, how long it takes, and its statistical power.
+    """Check whether the device can display the stimuli of STUDY; print its duration and its statistical power.
 
     STUDY is a YAML file or the name of a shipped study; the device is that of the configuration. Nothing moves. The
     exit code is 0 if every stimulus can be displayed as written, otherwise 1.

@@ -264,8 +264,8 @@ def _thread(
 def _signals() -> Iterator[socket.socket]:
     """Yield a socket from which signal numbers can be read, whichever thread the kernel chose for a signal.
 
-    Libraries may have threads, too, so that blocking and sigwait are not enough. Threads that are started in this
-    context inherit the block, so that no handler runs in the servo thread.
+    Threads that are started within the `with` block inherit the blocked signals, so that no handler runs in the servo
+    thread. Threads of libraries may not block them, so that sigwait would miss signals.
     """
     ours, pythons = socket.socketpair()
     with ours, pythons:

@@ -117,7 +117,7 @@ def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[Sp
 def report_lines(
     recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], warnings: Warnings
 ) -> None:
-    """Downgrade the verdict if the recordings have spectral lines in common; arguments as for `common_lines`."""
+    """Add a warning, which makes the verdict fair at best, about spectral lines that all recordings have in common."""
     if hum := common_lines(recordings, lines_in):
         warnings.add_fair(described(hum))
 

@@ -1087,8 +1087,8 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
     max_s = TAP_LIMITS.max_decay_time * longest_s
     if decay_time_s > max_s:
         raise FitError(
-            f"the ringing does not decay: the decay time must be at most {max_s:.3g} s, is {decay_time_s:.3g} s, "
-            f"of {longest_s:.3g} s that were fitted"
+            f"the ringing does not decay: its decay time is {decay_time_s:.3g} s, must be at most {max_s:.3g} s if "
+            f"{longest_s:.3g} s are fitted"
         )
 
 

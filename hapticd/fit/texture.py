@@ -68,7 +68,7 @@ def _frequencies(rate_hz: float) -> Floats:
 
 
 def _blocks_of(stroke: Stroke, usual_hz: float, warnings: Warnings) -> StrokeBlocks:
-    """Return a stroke cut into blocks; raise FitError if its rate is not `usual_hz`, or if it is not of a texture."""
+    """Return a stroke cut into blocks. Raises FitError if its rate is not `usual_hz`, or if no texture was stroked."""
     from scipy.signal import periodogram
 
     name, rate_hz = stroke.recording.name, stroke.recording.rate_hz

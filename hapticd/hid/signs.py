@@ -61,8 +61,8 @@ class Check:
     def of(self, identity: str, axes: tuple[bool, bool], resolution_m: float) -> Signs | None:
         """Return the parameters for a device; None if it has no axis with both a position and a force.
 
-        `axes` says for x and y whether the axis has both; `resolution_m` is the step of positions. A device that is
-        connected again gets the same number, so that it is not checked again.
+        `axes` says for x and y whether the axis has both; `resolution_m` is the step of positions. Each device has a
+        number, which it keeps when it is connected again: the core checks a number only once.
         """
         if not any(axes):
             return None

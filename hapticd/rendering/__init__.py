@@ -6,7 +6,7 @@ Compiling:
     compensation        forces of a strike that make handle and hand accelerate as the material says
     filter_design       filters for coloured noise
     resampling          textures identified at one rate, as models for the servo's rate
-    device_output       properties of the device for rendering: the way of forces to the device, and the closed loop
+    device_output       how forces reach the device (rates, delay, actuator), and the closed loop
     joystick            the simulated joystick and its operator as C objects
 
 What can be displayed:
@@ -29,7 +29,7 @@ Stability:
     surface_table       the arrays of a compiled table that the analysis of stability reads
     surface_properties  upper bounds of the stiffness, damping and noise of surfaces
     surface_margins     the margin of each surface alone, computed in microseconds
-    disc_stiffness      stiffness of a disc along its radius and around it
+    disc_stiffness      stiffness of a disc along its radius and around its centre
 
 Without a daemon:
 

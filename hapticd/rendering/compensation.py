@@ -280,7 +280,7 @@ class _Band:
         return found
 
     def error(self, columns: list[_Floats], gains: _Floats, onset: float = 0.0) -> float:
-        """Return the displayed error of a force. `gains` are real and imaginary part of each pole's gain in turn."""
+        """Return the displayed error of a force whose poles have `gains`: real part, imaginary part, for each pole."""
         return float(np.linalg.norm(gains @ np.array(columns) - self.target(onset))) / self._grid.target_norm
 
     def shape(self, poles: Sequence[complex], gains: _Floats) -> Shape:

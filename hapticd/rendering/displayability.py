@@ -141,8 +141,8 @@ def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
     """Return the peak and mean frequency (Hz) for which the filter of a texture is designed; None if it is muted.
 
-    A texture with its peak above 0.4 of the rate is muted, or peak and mean are lowered by the factor that brings the
-    peak to 0.4 of the rate.
+    A texture whose peak is above 0.4 of the rate is muted if `device.undisplayable` is `mute`. Otherwise peak and mean
+    are lowered by the same factor, which brings the peak to 0.4 of the rate.
     """
     highest = DISPLAYABLE_RATE_FRACTION * output.carried_hz
     if texture.peak_hz <= highest:
@@ -368,7 +368,7 @@ def patch_warnings(wall: Wall, root: Path) -> list[Problem]:
 
 
 def _narrow_patches(wall: Wall) -> Iterator[tuple[int, str]]:
-    """Yield index and problem of each patch that is narrower than the ramp, or nearer than the ramp to another one."""
+    """Yield index and problem of each patch whose width, or distance to the next patch, is below `patch_ramp_m`."""
     patches, ramp_m = wall.patches, wall.patch_ramp_m
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None

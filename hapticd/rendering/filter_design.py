@@ -245,7 +245,7 @@ class _Family:
         return (1 - np.minimum(end, 1.0)) / self.y_peak
 
     def mean(self, size: Array) -> Array:
-        """Return the power centroids (angles) of the spectra whose peaks have these sizes (n,)."""
+        """Return the mean angle, weighted with power, of the spectrum for each peak size; both (n,)."""
         t = 2 * np.sin((self.nodes - self.peak) / 2) * np.sin((self.nodes + self.peak) / 2)
         if self.floor:
             square = (t / self.floor) ** 2

@@ -34,7 +34,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def rearm_sigmas(rate_hz: float) -> float:
-    """Return the withdrawal without encoder step, in standard deviations of noise, for at most one false tap a day."""
+    """Return the part of rearm_m that noise needs for at most one false tap a day, in standard deviations of it."""
     return -2.0 * NormalDist().inv_cdf(min(0.5, 2.0 / (rate_hz * SECONDS_PER_DAY)))
 
 

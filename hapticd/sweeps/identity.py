@@ -26,7 +26,7 @@ _MAX_EXACT_INTEGER: Final = 2**53
 
 
 def sum_of(data: Json, path: Path = ()) -> Sums:
-    """Return the hash, (2,), of the part `data` of a document at `path`: the sum of the hashes of its leaves.
+    """Return the hash, (2,), of `data`, the value at `path` in a document: the sum of the hashes of its leaves.
 
     Leaves are scalars and empty lists; an empty mapping has no leaves.
     """

@@ -191,7 +191,7 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
         bytes(Joystick(without=frozenset({0x73}))),
         {},
     ),
-    "bytes that make no sense": ("the descriptor ends after 0 of its 1 bytes", STICK[:100], {}),
+    "bytes that make no sense": ("the descriptor ends after 0 of the item's 1 bytes", STICK[:100], {}),
 }
 
 

@@ -161,7 +161,7 @@ def test_a_failed_start_is_reported_in_one_line(
         port = str(taken.getsockname()[1])
         assert f"--port {port}: is in use" in refusal(capfd, "web", "--port", port)
     assert "--config needs --demo" in refusal(capfd, "web", "-c", "play.yaml")
-    assert "leave --runtime-dir out" in refusal(capfd, "--runtime-dir", str(tmp_path), "web", "--demo")
+    assert "cannot be combined with --runtime-dir" in refusal(capfd, "--runtime-dir", str(tmp_path), "web", "--demo")
     broken = tmp_path / "play.yaml"
     broken.write_text("servo: {rate_hz: none}\n")
     line = refusal(capfd, "web", "--demo", "-c", str(broken), "--port", "0")

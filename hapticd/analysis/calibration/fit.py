@@ -145,7 +145,7 @@ def held_forces(record: Record) -> list[Floats]:
 
 
 def model_motion(record: Record, found: Fit) -> Floats:
-    """Return the modelled position (m) and velocity (m/s) of the handle, first at rest, at each period, (n, 2)."""
+    """Return the modelled position (m) and velocity (m/s) at each period, (n, 2), of a handle that begins at rest."""
     return _motion(np.array(found.values), np.zeros(3), held_forces(record)[-1], record.rate_hz)
 
 

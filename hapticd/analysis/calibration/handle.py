@@ -1,4 +1,4 @@
-"""`hapticd calibrate`: drives the handle free and held, fits both drives, and reports handle and hand."""
+"""`hapticd calibrate`: measures the dynamics of handle and hand by driving the handle, first released, then held."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class SimRig:
         """Do nothing: the handle moves only during `run`."""
 
     def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
-        """Strike a mode with a coefficient; return the first tick that renders it."""
+        """Strike a mode with this coefficient A; return the first tick that renders it."""
         self._simulation.strike(mode, amplitude_m_per_s2, direction)
         return self._ticks
 
@@ -102,7 +102,7 @@ class ServoRig:
                 raise HapticdError(f"stopped, the signs of the device are unknown: {signs.line() or signs.advice}")
 
     def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
-        """Strike a mode with a coefficient; return the first tick that renders it."""
+        """Strike a mode with this coefficient A; return the first tick that renders it."""
         tick, _ = self._engine.play(mode, "coefficient", direction, amplitude_m_per_s2)
         return tick
 

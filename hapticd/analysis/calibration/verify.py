@@ -46,7 +46,7 @@ DEFAULT_TAP_SPEED_M_PER_S: Final = 0.1
 GROOVE_NORMAL_FORCE_N: Final = 1.0
 """Normal force of a stroke over grooves."""
 STRIKE_GAP_S: Final = 0.3
-"""Pause before the next strike, after five decay times and RECORDING_TAIL_S."""
+"""The next strike follows after five decay times, RECORDING_TAIL_S and this time."""
 RECORDING_TAIL_S: Final = 0.06
 """Time beyond five decay times that is compared in a recording. It includes the end of the compensation and the hand's
 response; a longer time would add noise of the sensor."""
@@ -97,7 +97,7 @@ class Comparison:
 
 
 def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = DEFAULT_TAP_SPEED_M_PER_S) -> list[Strike]:
-    """Return the strikes of materials: taps and grooves at `speed_m_per_s`, grooves under 1 N, and ruptures."""
+    """Return the strikes of materials: taps and grooves at `speed_m_per_s` (grooves pressed with 1 N), and ruptures."""
     found = []
     for name, material in materials.items():
         for strike in _tap_strikes(name, material, speed_m_per_s):

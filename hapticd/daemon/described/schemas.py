@@ -163,7 +163,7 @@ def _mapping_patch(schema: dict[str, Json]) -> dict[str, Json]:
 
 
 def _referred_patch(reference: str, schemas: Schemas) -> Json:
-    """Return a reference to the merge patch of an object's schema, which is made if missing, or else `reference`."""
+    """Return a reference to the merge patch of a schema, made if missing; `reference` itself if not of an object."""
     name = reference.removeprefix(SCHEMA_REF_PREFIX)
     if schemas[name].get("type") != "object":
         return {"$ref": reference}

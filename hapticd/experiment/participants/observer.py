@@ -1,6 +1,6 @@
-"""The perception and the answers of a simulated participant, from samples alone, never from names.
+"""The perception and the answers of a simulated participant, computed from samples alone: names of stimuli are unused.
 
-The felt force is the commanded force `force_n`, filtered to TOUCH_BAND_HZ: the mass of the handle times its vibration.
+The felt force is the commanded force `force_n`, filtered to TOUCH_BAND_HZ: mass times acceleration of the handle.
 Three features are computed from this force, as logarithms. Noise of a logarithm corresponds to a Weber fraction.
 
     hardness   rate of change of the force after an onset / approach speed: the rate-hardness of Lawrence,

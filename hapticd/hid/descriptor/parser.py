@@ -296,7 +296,7 @@ def _items(data: bytes, parser: _Parser) -> Iterator[tuple[int, str, _ItemData]]
         if prefix == _LONG_ITEM_PREFIX:
             size = 2 + data[at + 1] if at + 1 < len(data) else 2
         if at + 1 + size > end:
-            raise _error(at, name, f"the descriptor ends after {end - at - 1} of its {size} bytes")
+            raise _error(at, name, f"the descriptor ends after {end - at - 1} of the item's {size} bytes")
         yield at, name, _ItemData(int.from_bytes(data[at + 1 : at + 1 + min(size, 4)], "little"), size)
         at += 1 + size
 

@@ -178,7 +178,7 @@ def plan_of(layout: Layout, hid: Hid, scheme: Scheme, indices: Sequence[int]) ->
 
 
 def _force_factors(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
-    """Return the two factors of each effect's magnitude: of the force along its axis, and of that along the other."""
+    """Return two factors for each effect: magnitude per force along its axis, and per force along the other axis."""
     set_effect = layout.set_effect
     assert set_effect is not None
     angle = angle_of(set_effect)

@@ -282,7 +282,7 @@ def constant_force_report(
 
 
 def polar_effect_report(layout: Layout, hid: Hid, index: int, kind: str = "constant_force") -> Message:
-    """Return the report Set Effect for an effect of this kind, into which the direction of each force is written."""
+    """Return the report Set Effect for an effect of this kind; the direction is filled in later, for each force."""
     assert layout.set_effect is not None
     field = angle_of(layout.set_effect)
     assert field is not None

@@ -35,7 +35,7 @@ GROOVE_NODES: Final = 17
 TAP_STEPS: Final = 16
 """Approximate number of steps from the lowest to the highest tap speed. The nodes must not exceed HD_TUNE_NODES."""
 _PEAK_COLUMN: Final = TUNE_NODE_NUMBERS - 2
-"""Column of the nodes with the peak force in contact; the next column has the peak without a surface."""
+"""Column of a table of nodes that holds the peak force in contact; the next column holds that without contact."""
 
 
 class TabledModes(NamedTuple):

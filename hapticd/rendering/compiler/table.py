@@ -243,7 +243,8 @@ class Compiler:
     def restore(self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int) -> None:
         """Undo the last update, which was refused: restore the table with its slots and generations.
 
-        The arguments are those of an `update` to that state. The entire table is marked as changed.
+        The arguments are those with which `update` would restore scene and materials. All of the table is marked as
+        changed.
         """
         self._table.all_changed = 1
         former, self._lost = self._lost, {}

@@ -14,7 +14,7 @@
 Measures without a run:
 
     margin               margin of the scene to instability
-    display              displayed error of a material's tap
+    display              how far the displayed tap differs from the material's tap
     passive_limit        the stiffness up to which a wall is passive
     displayed_materials  the materials that a joystick can display
 
