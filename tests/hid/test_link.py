@@ -79,4 +79,4 @@ def test_the_page_has_the_computed_values() -> None:
     assert f"| {link._rounded(link.stiffest(1000.0))} |" in rows[0]
     (wood,) = [line for line in text.splitlines() if line.startswith("| wood |")]
     assert link._cell(link.struck_error("wood", shipped_materials()["wood"], 500.0)) in wood
-    assert all(f"\n| {name} |" in text for name in link.SHOWN)
+    assert all(f"\n| {name} |" in text for name in link.SHOWN_MATERIALS)

@@ -359,7 +359,7 @@ def test_a_wrong_figure_ends_with_1_even_if_other_parts_are_not_measured(
 
 @pytest.mark.long
 def test_too_little_without_a_missed_period_ends_with_1(run_demo: RunDemo, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(taps, "WANTED", 27)  # there are twice 13 taps
+    monkeypatch.setattr(taps, "MIN_TAPS", 27)  # there are twice 13 taps
     code, output = run_demo(Machine(all_kept))
     assert code == 1 and "wrong: wood: 26 of 27 taps, and no period was missed" in output
 
