@@ -540,7 +540,7 @@ class Engine:
         """
         if self._sim is None:
             raise HapticdError(
-                f"device.kind is {self.config.device.kind}: an operator moves only the simulated joystick (sim)"
+                f"device.kind is {self.config.device.kind}: only the simulated joystick (sim) has an operator"
             )
         path = new_operator(waypoints.tolist(), interpolation)
         command = self._command(CommandKind.OPERATOR)

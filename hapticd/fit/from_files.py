@@ -80,7 +80,7 @@ def materials_of(path: str) -> dict[str, Material]:
     """
     data = load_path(path).data
     if not isinstance(data, dict) or list(data) != ["materials"]:
-        raise HapticdError(f"{printable(path)}: must have the key materials only: materials are added to the file")
+        raise HapticdError(f"{printable(path)}: must have no key but materials, to which the fit adds")
     found = load_config(path).materials
     given = data["materials"]
     assert isinstance(given, dict)

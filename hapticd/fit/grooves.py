@@ -9,8 +9,9 @@ is a step in z, from the decayed ringing before to the ringing after the strike:
 magnitude of the step gives A. The phase -w d gives the delay d of the strike after its assumed time. Onsets are first
 found as steps of z between two windows, before and after each sample.
 
-Frequency and decay are fitted to groups of strikes. The scatter between groups gives the intervals, and shows whether
-frequency and decay change with speed or force. The gains are an M-estimate, on which a few outliers have no influence.
+Frequency and decay are fitted to groups of strikes. The scatter between groups gives the confidence intervals, and
+shows whether frequency and decay change with speed or force. The gains are an M-estimate, on which a few outliers have
+no influence.
 """
 
 from __future__ import annotations
@@ -451,7 +452,7 @@ class StrokeFit:
         return jump, complete
 
     def _residual_squares(self, mode: Mode) -> float:
-        """Return the sum of squared residuals of all intervals after a refinement of the mode."""
+        """Refine the mode; return the sum of its squared residuals over all intervals between strikes."""
         windows = self._windows(mode, self._onsets)
         return float(np.sum(windows.solved(self._refined(mode, windows))[1] ** 2))
 

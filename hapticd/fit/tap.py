@@ -568,10 +568,10 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
 
 
 def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
-    """Return the taps, each as the louder of its two modes, and the second mode, if most taps have the same two modes.
+    """Return the taps, each with one mode, and the second mode of the material, or None if it has no second mode.
 
-    Otherwise, and if one mode explains enough of the median tap, return the taps for which one mode is enough, and
-    None. The other taps are added to `excluded`.
+    The material has a second mode if one mode does not explain the median tap and most taps have the same two modes.
+    Then each tap keeps the louder of the two. Taps that do not fit are added to `excluded`.
     """
     alone = float(np.median([tap.variance_accounted_for for tap in taps])) if taps else 1.0
     pairs = [tap.pair for tap in taps if tap.pair is not None]

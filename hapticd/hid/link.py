@@ -43,7 +43,7 @@ class Link:
 
     @property
     def rate_hz(self) -> float | None:
-        """The smallest of the three limits; None if no limit is known."""
+        """The smallest of endpoint_hz, measured_hz and limit_hz that are known; None if none is known."""
         return min(
             (rate for rate in (self.endpoint_hz, self.measured_hz, self.limit_hz) if rate is not None), default=None
         )

@@ -156,9 +156,10 @@ class _Nodes:
 
 
 def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex]) -> _Fit:
-    """Return the all-pole fit to `target` of the smallest order that is close to `power`, else of the closest order.
+    """Return an all-pole fit to the power `target` at the nodes: of the smallest order whose error is small enough.
 
-    `power` is the model's power at the first nodes, those within the band.
+    If there is none, return that with the smallest error. The error is judged against `power`, the model's power at
+    the first nodes, those within the band.
     """
     direct = np.ones_like(target)
     for pole in placed:

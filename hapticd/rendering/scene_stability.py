@@ -31,7 +31,7 @@ class Stability:
 
     @property
     def harmful(self) -> tuple[Margin, ...]:
-        """Margins of the reported sets that may oscillate, without sets that are only not proved safe."""
+        """Margins of the reported sets whose verdict is `unsafe`, without those whose safety is only unproved."""
         return tuple(margin for margin in self.worst if margin.verdict == "unsafe")
 
     def to_dict(self) -> dict[str, object]:

@@ -45,7 +45,7 @@ WORST_NORMAL_FACTOR: Final = (1.0 + math.sqrt(2.0)) / 2.0
 _MAX_PATTERN_TICKS: Final = 128
 """Longest period of the pattern of measurements and forces, in ticks, for which `reach_s` is computed exactly."""
 _SAMPLED_TICKS: Final = 1000
-"""Number of ticks from which `reach_s` is bounded if the pattern is longer than _MAX_PATTERN_TICKS."""
+"""Ticks of a pattern longer than _MAX_PATTERN_TICKS from which an upper bound of `reach_s` is computed."""
 _MAX_DELAY_PERIODS: Final = 40
 """Longest delay in loop_matrix, in periods. A longer delay is modelled with longer periods."""
 _MIN_SEARCHED_N_PER_M: Final = 0.1

@@ -1,8 +1,8 @@
 """The margin of each surface alone, from a compiled table, computed in microseconds per surface.
 
-The margin is the factor on the stiffness up to which the surface is passive, and the handle's dry friction absorbs the
-noise of encoder and actuator. For a set of one surface without fields, contact_sets.py yields the same margin.
-`hapticd check` adds the effects of other surfaces and fields, the eigenvalues and the remedies.
+The margin is the largest factor on the stiffness at which two conditions hold: the surface is passive, and the handle's
+dry friction absorbs the noise of encoder and actuator. For a set of one surface without fields, contact_sets.py yields
+the same margin. `hapticd check` adds the effects of other surfaces and fields, the eigenvalues and the remedies.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _PLANE_SHAPES: Final = frozenset((int(Shape.WALL), int(Shape.MEMBRANE)))
 _DISC_SHAPE: Final = int(Shape.DISC)
 """Shape of a disc; an int is faster to compare than a member of Shape."""
 _WORST_NORMAL_COMPONENT: Final = math.sqrt(0.5 * WORST_NORMAL_FACTOR)
-"""Value of |n_x| and |n_y| with which the noise of a surface without one normal gets the factor WORST_NORMAL_FACTOR."""
+"""Value used for |n_x| and |n_y| if a surface has many normals: its noise has the factor WORST_NORMAL_FACTOR."""
 
 
 class _KindMargins(NamedTuple):

@@ -1,7 +1,8 @@
-"""The function that a worker runs on a piece (a group of points), which the worker gets as pickled bytes.
+"""The function that a worker runs on a piece (a group of points). The worker gets the piece as pickled bytes.
 
-Dask ends a worker that cannot unpickle its task, and may then lose pieces of other workers. So the function is sent as
-code, which every worker can unpickle. A worker without hapticd, or with another version, returns a refusal.
+Dask ends a worker that cannot unpickle its task, and may then lose pieces of other workers. So the task is code that
+every worker can run, and this code unpickles the piece. A worker without hapticd, or with another version, returns a
+refusal.
 """
 
 from __future__ import annotations

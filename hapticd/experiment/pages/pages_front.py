@@ -250,7 +250,7 @@ class PagesFront:
         return message if isinstance(message, Command) else self._wait_to_continue("participant", "experimenter")
 
     def _too_early(self, message: _PageMessage | None) -> None:
-        """Show an experimenter who presses "Continue" too early the time until the break may end."""
+        """If the experimenter presses "Continue" too early, show how long the break still lasts."""
         if message is not None and _continued(message, ("experimenter",)) is not None:
             self.show_line(f"The break lasts at least {self._least_s:g} s: {math.ceil(self._left_s())} s left")
 

@@ -50,7 +50,7 @@ _Owner: TypeAlias = tuple[int, int]
 _Field: TypeAlias = tuple[float, float, float, float]
 """Force law of a field: force (x, y), stiffness and damping of F = force - stiffness p - damping v."""
 
-# Kinds and integers: isinstance of a pydantic model, or a member of an enum, costs more than the rest of a record.
+# Strings and integers, because isinstance of a pydantic model, or a member of an enum, costs more than all of a record.
 _SURFACE_KINDS: Final = frozenset(SURFACE_KINDS)
 _PASSIVITY_MODES: Final = {mode.name.lower(): int(mode) for mode in PassivityMode}
 _NONE, _WALL, _MEMBRANE, _BOX, _DISC = map(int, (Shape.NONE, Shape.WALL, Shape.MEMBRANE, Shape.BOX, Shape.DISC))

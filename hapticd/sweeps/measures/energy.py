@@ -25,7 +25,7 @@ def given_j(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_],
     """Return the largest energy that one contact had given to the hand at any tick, in J, at least 0.
 
     The energy is the sum of f.(x' - x) from the contact's first tick. The force f acts while the position changes
-    from x to x'; the force of the last tick acts after the contact. `force_n` and `position_m` have shape (n, 2),
+    from x to x'; that of the contact's last tick counts, too. `force_n` and `position_m` have shape (n, 2),
     `touched` (n,). Gaps of at most `max_gap_ticks` end no contact.
     """
     steps = np.zeros(len(force_n))
