@@ -299,7 +299,7 @@ def test_fits_of_several_kinds_make_one_material(fits: Fits, capsys: pytest.Capt
 
 def test_a_file_without_valid_materials_is_not_changed(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     for text, message in (
-        ("materials: {}\nscene: {}\n", "must have the key materials only"),
+        ("materials: {}\nscene: {}\n", "must have no key but materials"),
         ("a: [", "x.yaml:"),
         (
             "materials: {pine: {stiffness_n_per_m: -1}}\n",
