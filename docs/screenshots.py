@@ -70,7 +70,7 @@ def take_all(page: Page) -> list[Path]:
             page.set_viewport_size(size)  # type: ignore[arg-type]
             for scheme in ("light", "dark"):
                 page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
-                # Canvases are drawn again in the frame after the change.
+                # Two frames: canvases are drawn again in the frame after the change.
                 page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
                 narrow = "" if size is WIDE else f"-{size['width']}"
                 taken.append(save(take(page, part, size["width"]), f"web-{part}-{scheme}{narrow}"))
