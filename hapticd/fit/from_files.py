@@ -65,7 +65,7 @@ def fitted_files(
     # A division by zero gives NaN, which no material accepts: no need to warn.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        fitted = _fitted(kind, options, recordings, step, excluded)
+        fitted = _fit(kind, options, recordings, step, excluded)
     used: list[Recording] = []
     unused: list[Recording] = []
     for recording in recordings:
@@ -87,9 +87,7 @@ def materials_of(path: str) -> dict[str, Material]:
     return {name: found[name] for name in given}
 
 
-def _fitted(
-    kind: Kind, options: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions
-) -> Fitted:
+def _fit(kind: Kind, options: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
     found: Fit
     if kind == "tap":
         return _fitted_taps(options, recordings, step, excluded)

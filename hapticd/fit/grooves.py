@@ -36,6 +36,7 @@ from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
 from hapticd.fit.spectral_lines import lines_in_residual, report_lines
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions, Warnings
+from hapticd.rendering.compensation import pole_of
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 
@@ -64,17 +65,13 @@ def _ringing_steps(acceleration: Floats, rate_hz: float, mode: Mode) -> Complexe
         raise FitError(f"too short: {count} samples, {4 * length} are needed for grooves")
     taps = np.zeros(2 * length, dtype=np.complex128)
     for index, sign in ((np.arange(length), 1.0), (np.arange(-length, 0), -1.0)):
-        ring = np.exp(_pole(mode) * index / rate_hz)
+        ring = np.exp(pole_of(mode) * index / rate_hz)
         solve = np.linalg.pinv(np.stack([ring.imag, ring.real, np.ones(length)], axis=1))
         taps[index + length] += sign * (solve[0] + 1j * solve[1])
     found = fftconvolve(acceleration, taps[::-1])[length - 1 : length - 1 + count]
     found[:length] = 0
     found[count - length :] = 0
     return np.asarray(found)
-
-
-def _pole(mode: Mode) -> complex:
-    return complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
 
 
 def _unit_strike(mode: Mode, rate_hz: float) -> Floats:
@@ -203,9 +200,7 @@ class _FreeRinging:
     rate B and angular frequency w. For given B and w, z and drift of each interval are a separate linear fit.
     """
 
-    def __init__(
-        self, acceleration: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode
-    ) -> None:
+    def __init__(self, measured: Floats, rate_hz: float, low: Ints, high: Ints, onset_s: Floats, mode: Mode) -> None:
         """Take the samples `low` to `high` - 1 (intervals,) after each onset; `used` are those long enough."""
         min_samples = max(5, math.ceil(0.4 * rate_hz / mode.frequency_hz))
         self.used: Ints = np.flatnonzero(high - low >= min_samples)
@@ -223,7 +218,7 @@ class _FreeRinging:
         ramp = np.where(self.held, steps - (count[:, None] - 1) / 2, 0.0) * (cycles > 1.8)[:, None]
         ramp /= np.maximum(np.sqrt(np.sum(ramp**2, axis=1, keepdims=True)), 1e-300)
         self._drift = (level, ramp)
-        self.flat: Floats = self._less_drift(np.where(self.held, acceleration[self.index], 0.0))
+        self.flat: Floats = self._less_drift(np.where(self.held, measured[self.index], 0.0))
 
     def _less_drift(self, values: Floats) -> Floats:
         for column in self._drift:
@@ -232,7 +227,7 @@ class _FreeRinging:
 
     def solved(self, mode: Mode) -> tuple[Complexes, Floats]:
         """Return the ringing's complex amplitude (intervals,) at the onsets, and the residual (intervals, samples)."""
-        pole = _pole(mode)
+        pole = pole_of(mode)
         turned = np.exp(pole * self._first_s)[:, None] * np.exp(pole * self._since_s) * self.held
         sine, cosine = self._less_drift(turned.imag), self._less_drift(turned.real)
         ss, cc, sc = _products(sine, sine), _products(cosine, cosine), _products(sine, cosine)
@@ -446,7 +441,7 @@ class StrokeFit:
         z[windows.used] = windows.solved(mode)[0]
         complete[windows.used] = True
         jump = z.copy()
-        jump[1:] -= z[:-1] * np.exp(_pole(mode) * np.diff(onsets))
+        jump[1:] -= z[:-1] * np.exp(pole_of(mode) * np.diff(onsets))
         complete[1:] &= complete[:-1].copy()
         complete[0] = False
         return jump, complete
@@ -689,7 +684,7 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     groups = [group for each in fits for group in each.groups]
     if len(groups) < 2:
         raise excluded.refused(
-            f"too few strikes for an interval: needs {2 * GROOVE_LIMITS.strikes_in_group} or more in all recordings"
+            f"too few strikes for an interval: at least {2 * GROOVE_LIMITS.strikes_in_group} are needed in total"
         )
     frequencies = np.array([group.mode.frequency_hz for group in groups])
     frequency = common(frequencies)

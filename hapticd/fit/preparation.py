@@ -165,8 +165,7 @@ class _Column:
     def _replace_spikes(self) -> None:
         """Replace spikes: values far beyond the usual ones, for at most 10 ms."""
         values = self.values
-        noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
-        far = max(2.0 * float(np.percentile(np.abs(values), 95)), PREPARATION_LIMITS.spike_to_noise * noise)
+        far = max(2.0 * float(np.percentile(np.abs(values), 95)), PREPARATION_LIMITS.spike_to_noise * noise_of(values))
         half = max(PREPARATION_LIMITS.max_spike_samples, round(2 * PREPARATION_LIMITS.max_spike_s * self._rate_hz))
         found: Spans = []
         near = spans_of(np.abs(values - float(np.median(values))) > 0.75 * far)
@@ -208,7 +207,7 @@ class _Column:
         self._replace_leaping(found)
 
     def _replace_stuck(self) -> None:
-        """Replace standstills (equal values) much longer than others; at either end 0 means no contact."""
+        """Replace standstills much longer than other runs of equal values, except zeros (no contact) at either end."""
         edges = np.flatnonzero(np.diff(self.values)) + 1
         starts, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(self.values)]))
         runs = ends - starts
@@ -606,6 +605,11 @@ def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:
     number = (high - low).astype(np.float64)
     moment = number * (number**2 - 1) / 12
     return np.asarray(((ramps[high] - ramps[low]) - (low + high - 1) / 2 * (ones[high] - ones[low])) / moment * rate_hz)
+
+
+def noise_of(values: Floats) -> float:
+    """Return the standard deviation of the noise of slowly changing values (n,), from differences between samples."""
+    return 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
 
 
 def running_mean(values: Floats, half: int) -> Floats:

@@ -138,8 +138,8 @@ class _Puncture:
         The membrane is softer if the force reaches 2 % of the load (or six standard errors, if larger) by more than 3 %
         of the rupture's depth before the line does.
         """
-        half = self._half
-        touch_n = max(PUNCTURE_LIMITS.touch_load * self._load_n, 6.0 * _noise(self._force) / math.sqrt(2 * half + 1))
+        half, noise = self._half, preparation.noise_of(self._force)
+        touch_n = max(PUNCTURE_LIMITS.touch_load * self._load_n, 6.0 * noise / math.sqrt(2 * half + 1))
         touched = np.flatnonzero(self._smooth[: self._at - half] - self._rest_n > touch_n)
         if not len(touched):
             return
@@ -244,15 +244,11 @@ def _drop(force: Floats, rate_hz: float) -> int | None:
     middle = int(np.argmax(fall)) + 2 * half
     before, after = float(mean[middle - 2 * half]), float(mean[middle + 2 * half])
     rest = float(np.median(force[: len(force) // 20]))
-    if before - rest < 5 * _noise(force) or before - after < PUNCTURE_LIMITS.min_drop * (before - min(rest, 0.0)):
+    noise = preparation.noise_of(force)
+    if before - rest < 5 * noise or before - after < PUNCTURE_LIMITS.min_drop * (before - min(rest, 0.0)):
         return None
     held = np.flatnonzero(force[middle - 2 * half : middle + 2 * half] > (before + after) / 2)
     return middle - 2 * half + int(held[-1]) if len(held) else None
-
-
-def _noise(force: Floats) -> float:
-    """Return the standard deviation of the noise of a force, N, from the differences between samples."""
-    return 1.4826 * float(np.median(np.abs(np.diff(force)))) / math.sqrt(2)
 
 
 # ---- The fit: means over the punctures, and the verdict --------------------------------------------------------------

@@ -117,7 +117,7 @@ def common_lines(recordings: Sequence[_T], lines_in: Callable[[_T, int], list[Sp
 def report_lines(
     recordings: Sequence[_T], lines_in: Callable[[_T, int], list[SpectralLine]], warnings: Warnings
 ) -> None:
-    """Add a warning, which makes the verdict fair at best, about spectral lines that all recordings have in common."""
+    """Add a warning, which makes the verdict fair at best, about spectral lines in at least half of the recordings."""
     if hum := common_lines(recordings, lines_in):
         warnings.add_fair(described(hum))
 

@@ -54,7 +54,7 @@ class Event:
     last: int
     """Index of the last loud sample."""
     noise: float
-    """Standard deviation of the noise near the event, m/s^2."""
+    """Standard deviation of the noise in the section without gaps around the event, m/s^2."""
     peak: float
     """Largest magnitude of the acceleration without gravity and drift, m/s^2."""
 
@@ -570,7 +570,7 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
 def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], SecondMode | None]:
     """Return the taps, each with one mode, and the second mode of the material, or None if it has no second mode.
 
-    The material has a second mode if one mode does not explain the median tap and most taps have the same two modes.
+    The material has a second mode if one mode explains the median tap too little and most taps have the same two modes.
     Then each tap keeps the louder of the two. Taps that do not fit are added to `excluded`.
     """
     alone = float(np.median([tap.variance_accounted_for for tap in taps])) if taps else 1.0
@@ -609,10 +609,8 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
             return used, second
     for tap in taps:
         if not tap.alone:
-            percent = 100 * tap.variance_accounted_for
-            reason = (
-                f"a decaying sinusoid explains {percent:.0f} % of the variance, and the other taps have other modes"
-            )
+            part = 100 * tap.variance_accounted_for
+            reason = f"a decaying sinusoid explains {part:.0f} % of the variance, and the other taps have other modes"
             excluded.add(tap.recording, reason, "tap", tap.onset_s)
     return [tap for tap in taps if tap.alone], None
 

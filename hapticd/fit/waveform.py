@@ -71,7 +71,7 @@ class Pulse:
         return float(np.median(self.measured[:first]))
 
     def crossing_s(self) -> float:
-        """Return the time, s after the first sample, at which the pulse rises above WAVEFORM_LIMITS.alignment_level."""
+        """Return the time, s after the first sample, at which the pulse rises above alignment_level times its peak."""
         size = np.abs(self.measured - self.rest)
         level = WAVEFORM_LIMITS.alignment_level * float(size.max())
         below = np.flatnonzero(size[: int(np.argmax(size >= WAVEFORM_LIMITS.rise_end_level * size.max()))] < level)
@@ -255,9 +255,7 @@ class Shape:
         reach_s = 2.0 / rate_hz
         for done in range(rounds + 1):
             samples, curve = _normalized(Equations(pulses, found, rate_hz, count).solved(), rate_hz)
-            found = [
-                _fit_pulse(curve, pulse, where.onset_s, reach_s) for pulse, where in zip(pulses, found, strict=True)
-            ]
+            found = [_fit_pulse(curve, pulse, each.onset_s, reach_s) for pulse, each in zip(pulses, found, strict=True)]
             if done < rounds:
                 # The shape may shift along its samples together with all onsets: this is undone.
                 slid = float(np.median([new.onset_s for new in found]) - np.median([old.onset_s for old in fitted]))

@@ -77,8 +77,8 @@ def fitted(folder: Path, capsys: pytest.CaptureFixture[str], kind: str, files: l
     material = load_config(str(folder / "found.yaml")).materials["found"].to_dict()
     origin = material.pop("provenance")
     assert isinstance(origin, dict) and all(file["path"] in files for file in origin["files"])
-    message = capsys.readouterr().err.splitlines()
-    return json.dumps([material, len(origin["files"])]), message
+    lines = capsys.readouterr().err.splitlines()
+    return json.dumps([material, len(origin["files"])]), lines
 
 
 BAD: Final = (
@@ -256,9 +256,9 @@ def test_complete_sections_are_between_gaps_and_clipped_samples() -> None:
     lengths = [len(part.force_n) for part in parts if part.force_n is not None]
     assert lengths == [3000, 2996, 3790]
     assert parts[1].force_n is not None and parts[1].force_n[0] == 3004.0
-    (message,) = excluded.items
-    assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in message.reason
-    assert "0.214 of 10 s" in message.reason
+    (exclusion,) = excluded.items
+    assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in exclusion.reason
+    assert "0.214 of 10 s" in exclusion.reason
     with pytest.raises(FitError, match=r"0 % of the samples are in complete sections of 5 s, 50 % are needed"):
         complete_sections(recording, 5.0, Exclusions())
 

@@ -296,10 +296,10 @@ def test_textures() -> None:
     for made in (texture, autoregressive):
         whole = recording("a", noise, force_n=forces, tangential_position_m=0.3 - place)
         bare = recording("b", noise)
-        message = recording("c", noise, force_n=forces, speed_m_per_s=speed)
+        steady = recording("c", noise, force_n=forces, speed_m_per_s=speed)
         block = SimpleNamespace(speed_m_per_s=speed, force_n=force, rms_m_per_s2=1.01 * rms, mean_hz=301.0)
         parts = {"blocks": (block,) * 3, "mean_hz": Estimate(300.0, 290.0, 310.0)}
-        page = page_of("texture", "grit", Fitted({"texture": made}, parts), [whole, bare, message])
+        page = page_of("texture", "grit", Fitted({"texture": made}, parts), [whole, bare, steady])
         assert [len(row) for row in page.rows] == [3, 2, 2]
         level_of, by_speed, by_force = page.rows[0]
         modelled, recorded = curves(level_of)["recorded"]

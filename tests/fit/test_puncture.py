@@ -205,7 +205,7 @@ def test_two_punctures_in_a_file_are_refused() -> None:
 
 
 def test_one_puncture_has_no_interval() -> None:
-    with pytest.raises(FitError, match="at least two"):
+    with pytest.raises(FitError, match="at least two recordings of a puncture are needed"):
         fit_puncture([puncture(membrane(), 0.05)])
 
 

@@ -97,8 +97,8 @@ def test_check_shows_the_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[s
     (pine,) = (each for each in report.materials if each.name == "pine")
     assert pine.verdict == {"texture": "poor", "tap": "good"}
     assert all(not each.verdict for each in report.materials if each.name != "pine")
-    (message,) = report.notes
-    assert str(message) == "materials.pine.provenance.verdict.texture: the fit is poor: no law"
+    (note,) = report.notes
+    assert str(note) == "materials.pine.provenance.verdict.texture: the fit is poor: no law"
 
     file = tmp_path / "pine.yaml"
     file.write_text(

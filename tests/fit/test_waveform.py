@@ -270,8 +270,8 @@ def test_a_waveform_of_the_minority_of_the_taps_is_not_good() -> None:
     assert found.judged.quality == "fair"
     gone = len(SPEEDS) - usable
     assert found.judged.reasons == (f"{gone} of {len(SPEEDS)} taps are left out",)
-    message = found.to_dict()["left_out"]
-    assert isinstance(message, list) and len(message) == gone
+    left_out = found.to_dict()["left_out"]
+    assert isinstance(left_out, list) and len(left_out) == gone
 
 
 @pytest.mark.long
@@ -362,12 +362,12 @@ def test_the_command_writes_a_waveform(tmp_path: Path, capsys: pytest.CaptureFix
     file = str(tmp_path / "pulses.npz")
     save(recording, file)
     assert main(["fit", "tap", file, "--json"]) == 0
-    message = json.loads(capsys.readouterr().out)
-    assert "--as mode fits a mode" in " ".join(message["notes"])
-    tap = message["materials"]["tap"]["tap"]
+    output = json.loads(capsys.readouterr().out)
+    assert "--as mode fits a mode" in " ".join(output["notes"])
+    tap = output["materials"]["tap"]["tap"]
     assert tap["attack"] == "first_peak"
     assert tap["waveform"]["samples"][0] == 0
-    assert validate_materials({"tap": message["materials"]["tap"]})["tap"].tap is not None
+    assert validate_materials({"tap": output["materials"]["tap"]})["tap"].tap is not None
     assert main(["fit", "tap", file, "--json", "--as", "mode"]) == 0
     as_mode = json.loads(capsys.readouterr().out)["materials"]["tap"]["tap"]
     assert "waveform" not in as_mode and ("frequency_hz" in as_mode or "mode_table" in as_mode)
