@@ -114,12 +114,10 @@ def run(options: Options, advance: Advance) -> Section:
                     late[with_page] = p99_ns(running, seconds)
             ratios.append(late[True] / late[False])
             advance((index + 1) / pairs, f"pair {index + 1}")
-    median = {
-        name: float(np.median(values)) for name, values in (("idle", percents[IDLE]), ("draw", percents[DRAWING]))
-    }
+    idle, drawing = (float(np.median(percents[topics])) for topics in (IDLE, DRAWING))
     rows = [
-        ["processor time, page without samples, %", spread(percents[IDLE], ".1f"), verdict(median["idle"], 5.0)],
-        ["processor time, page with all samples, %", spread(percents[DRAWING], ".1f"), verdict(median["draw"], 15.0)],
+        ["processor time, page without samples, %", spread(percents[IDLE], ".1f"), verdict(idle, 5.0)],
+        ["processor time, page with all samples, %", spread(percents[DRAWING], ".1f"), verdict(drawing, 15.0)],
         [
             "servo's p99 lateness, ratio with a page to without",
             spread(ratios, ".2f"),

@@ -66,7 +66,7 @@ def follow(
 
 
 def pictures_of(visual: Any, window: Any) -> dict[EventCode, Picture | None]:
-    """Return a cross when a trial is ready, a disc while the forces are on. `visual` is the module psychopy.visual."""
+    """Return the pictures: a cross when a trial is ready, a disc while forces are on. `visual` is psychopy.visual."""
     pause = visual.TextStim(window, text="A break. Rest your hand.", height=0.06)
     return {
         EventCode.TRIAL_ARMED: visual.TextStim(window, text="+", height=0.1),

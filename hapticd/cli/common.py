@@ -270,7 +270,7 @@ def print_table(
 
 @contextmanager
 def status_line() -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows a text as status line on a terminal. An empty text erases the line."""
+    """Yield a function that shows a status line if stderr is a terminal; an empty text and the end erase the line."""
     try:
         yield _show
     finally:

@@ -205,9 +205,8 @@ def _punctures(material: Material, stylus: Stylus, speeds: Sequence[float]) -> t
     assert rupture is not None  # puncture() raises ValueError without it
     depth_m, stiffness = rupture.rupture_depth_m, material.stiffness_n_per_m
     truth = {"stiffness_n_per_m": stiffness, "depth_m": depth_m, "force_n": stiffness * depth_m}
-    return found, truth | _values(rupture, "amplitude_m_per_s2") | _values(
-        rupture.mode, "frequency_hz", "decay_rate_per_s"
-    )
+    truth |= _values(rupture, "amplitude_m_per_s2")
+    return found, truth | _values(rupture.mode, "frequency_hz", "decay_rate_per_s")
 
 
 def _values(owner: object, *names: str) -> _Truth:

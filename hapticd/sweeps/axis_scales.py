@@ -35,7 +35,7 @@ _READABLE_UNITS: Final[dict[str, tuple[tuple[float, float, str], ...]]] = {
     "kg": ((1.0, 1e3, "g"),),
     "us": ((math.inf, 1.0, "µs"),),
 }
-"""For each unit, tuples (limit, factor, other unit): values all below limit are shown times factor, in the other."""
+"""For each unit, tuples (limit, factor, shown unit): values all below limit are shown times factor, in that unit."""
 
 
 @dataclass(frozen=True, slots=True)

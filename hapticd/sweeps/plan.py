@@ -251,7 +251,7 @@ def _axis_hashes(job: Job, axis: Axis) -> npt.NDArray[np.uint64]:
 
 
 def _part_at(document: Json, path: Path) -> Json:
-    """Return the part of a document at a path, or an empty mapping, which does not change a hash."""
+    """Return the part of a document at a path; if there is none, an empty mapping, which does not change a hash."""
     for key in path:
         inside = key in document if isinstance(document, dict) else isinstance(key, int)
         if not isinstance(document, dict | list) or not inside:

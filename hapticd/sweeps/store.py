@@ -117,10 +117,8 @@ class Store:
             "versions": {"hapticd": code_version(), "python": platform.python_version(), "numpy": np.__version__},
             **work.manifest(),
         }
-        write_atomically(str(self._folder / POINTS_FILE), points.getvalue(), overwrite=True)
-        write_atomically(
-            str(self._folder / STUDY_FILE), json.dumps(manifest, indent=1).encode() + b"\n", overwrite=True
-        )
+        write_atomically(self._folder / POINTS_FILE, points.getvalue(), overwrite=True)
+        write_atomically(self._folder / STUDY_FILE, json.dumps(manifest, indent=1) + "\n", overwrite=True)
 
     def manifest(self) -> dict[str, Any]:
         """Read study.json. Raises HapticdError."""
@@ -163,7 +161,7 @@ class Store:
         return np.frombuffer(b"".join(found), ID_DTYPE)
 
     def write(self, rows: Sequence[Row], columns: Sequence[Column]) -> None:
-        """Write rows as one Parquet file, atomically, and sync the file to disk. Raises HapticdError."""
+        """Write rows as one Parquet file, atomically. Raises HapticdError."""
         import pyarrow
         from pyarrow import parquet
 
@@ -173,7 +171,7 @@ class Store:
         name = sha256("".join(str(row[POINT_COLUMN.name]) for row in ordered).encode()).hexdigest()[:32]
         content = io.BytesIO()
         parquet.write_table(table, content)
-        write_atomically(str(self._folder / PIECES_FOLDER / f"{name}.parquet"), content.getvalue(), overwrite=True)
+        write_atomically(self._folder / PIECES_FOLDER / f"{name}.parquet", content.getvalue(), overwrite=True)
 
     def table(self) -> Any:
         """Return the computed rows of the study, a pyarrow.Table sorted by point. Raises HapticdError."""

@@ -224,9 +224,7 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["simulate", "config.yaml", "--operator", "operator.yaml", "-o", "b.npz"]) == 0
     assert capsys.readouterr().out.startswith("b.npz: 1,000 ticks in 0.100 s, ")
     with np.load("a.npz") as first, np.load("b.npz") as second:
-        assert first["samples"].tobytes() == second["samples"].tobytes(), (
-            "the same run from a scene and from a configuration"
-        )
+        assert first["samples"].tobytes() == second["samples"].tobytes(), "scene and configuration give one run"
         assert first["truth"].shape == (1000, 4)
         contact = first["events"][first["events"]["event"] == "contact"][0]
         assert contact["object"] == "floor"

@@ -135,12 +135,10 @@ def test_all_faults_of_a_tree_are_reported_together(tmp_path: Path) -> None:
     assert len(caught.value.problems) == 3
 
 
-@pytest.mark.parametrize(("name", "message"), [("none", "no such folder"), ("file", "not a folder")])
-def test_a_path_without_a_tree_is_refused(name: str, message: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "why"), [("none", "no such folder"), ("file", "not a folder")])
+def test_a_path_without_a_tree_is_refused(name: str, why: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(
-        HapticdError, match=f"{name}: {message}; a batch needs a folder with a folder for each material"
-    ):
+    with pytest.raises(HapticdError, match=f"{name}: {why}; a batch needs a folder with a folder for each material"):
         read_tree(str(tmp_path / name))
 
 

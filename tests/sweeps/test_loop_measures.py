@@ -118,9 +118,7 @@ def integrated(loop: WallLoop, reference: Any, speed: Any, start_m: float, times
     rest_slow(
         [
             WallLoop(0.05, 0.2, 300.0, 5.0, 800.0, 2.0, 0.0),
-            WallLoop(
-                0.05, 0.2, 300.0, 0.0, 2000.0, 8.0, 0.0
-            ),  # it bounces; without the limit at 0 the damper would pull
+            WallLoop(0.05, 0.2, 300.0, 0.0, 2000.0, 8.0, 0.0),  # bounces; the damper would pull if F could be below 0
             WallLoop(0.05, 20.0, 300.0, 5.0, 800.0, 0.0, 0.0),  # overdamped
             WallLoop(0.04, 0.2, 0.0, 0.0, 500.0, 1.0, -0.5),  # a free handle that a force pushes
             WallLoop(0.04, 0.0, 0.0, 0.0, 500.0, 1.0, -0.5),  # the same without damping

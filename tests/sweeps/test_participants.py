@@ -122,11 +122,9 @@ def test_a_session_of_another_study_is_refused_before_anything_is_computed(
     assert ran(file, "--offline", "--participant", "simulated:A000002", "-o", str(root)).exit_code == 0
     words = ["--offline", "--participant", "simulated:A", "--count", "3", "--threads", "-o", str(root)]
     assert main(["experiment", "run", file, *words]) == 1
-    message = capsys.readouterr().err
-    assert (
-        len(message.splitlines()) == 1
-        and f"sub-{LABELS[1]}/ses-01: belongs to another study, seed or version" in message
-    )
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert f"sub-{LABELS[1]}/ses-01: belongs to another study, seed or version" in error
     assert not (root / "sourcedata").exists()
 
 
@@ -185,7 +183,7 @@ def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeyp
         ),
         (
             ["--participant", "simulated:A", "--offline", "--threads", "--scheduler", "tcp://127.0.0.1:1"],
-            "--scheduler cannot be combined",
+            "--scheduler cannot be combined with --workers or --threads",
         ),
         (
             ["--participant", f"simulated:{'A' * 29}", "--offline", "--count", "3"],

@@ -160,10 +160,8 @@ class ContinuousWall:
             return Polynomial([waypoints[max(index, 0), 1]])
         (begin_s, begin), (end_s, end) = waypoints[index], waypoints[index + 1]
         time_fraction = Polynomial([(now_s - begin_s) / (end_s - begin_s), 1.0 / (end_s - begin_s)])
-        distance_fraction = (
-            Polynomial(_MINIMUM_JERK_COEFFICIENTS)(time_fraction) if self._minimum_jerk else time_fraction
-        )
-        found: Polynomial = begin + (end - begin) * distance_fraction
+        path_fraction = Polynomial(_MINIMUM_JERK_COEFFICIENTS)(time_fraction) if self._minimum_jerk else time_fraction
+        found: Polynomial = begin + (end - begin) * path_fraction
         return found
 
     def _segment(self, now_s: float, height: float, speed: float, pressed: bool) -> _Segment:

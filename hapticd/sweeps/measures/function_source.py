@@ -33,9 +33,8 @@ def source_of(module: str, folder: str) -> FunctionSource:
     try:
         spec = find_spec(module)
     except Exception as error:  # parent packages are imported, which may raise any exception
-        raise HapticdError(
-            f"{module} cannot be found: {collapse_whitespace(f'{type(error).__name__}: {error}')}"
-        ) from None
+        why = collapse_whitespace(f"{type(error).__name__}: {error}")
+        raise HapticdError(f"{module} cannot be found: {why}") from None
     if spec is None:
         raise HapticdError(f"no module {module}, neither as {module}.py in {folder} nor on Python's path")
     if spec.origin is None or not spec.origin.endswith(".py"):
