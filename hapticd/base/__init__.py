@@ -5,7 +5,7 @@ The core and the process:
     core               the C core as Python sees it: `ffi`, `lib`, records as numpy dtypes, enums
     clock              CLOCK_MONOTONIC and the time of day, read together
     memory             memory allocation of a process that runs for months
-    threads            background threads; checks the user's limit of processes
+    threads            background threads; checks the user's limit of processes; ends a process with its parent
     steps              long work as a generator, which yields between its parts
 
 Text that people and programs write and read:

@@ -80,7 +80,7 @@ def rows(name: str, value: object) -> list[list[float]]:
 def texts(name: str, value: object) -> list[str]:
     """Check that a value is a list of strings, and return it. Raises InvalidError, also for a single string."""
     found = []
-    for place, each in enumerate(_items(name, value, "texts")):
+    for place, each in enumerate(_items(name, value, "strings")):
         if not isinstance(each, str):
             raise invalid_argument(f"{name}[{place}]", f"must be a string, is {shown(each)}")
         found.append(each)

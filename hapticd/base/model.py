@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class DescribedAs:
-    """Annotation of a value that JSON Schema describes as the type `kind`, and that its user validates."""
+    """Annotation of a value that JSON Schema describes as the type `kind`; the code that uses it validates it."""
 
     kind: Any
 

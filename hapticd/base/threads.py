@@ -1,4 +1,4 @@
-"""Background threads, and whether they can be started: a user's limit of processes (RLIMIT_NPROC) counts threads.
+"""Background threads, and child processes that end with them. RLIMIT_NPROC, a user's limit of processes, counts both.
 
 libzmq also starts threads, and aborts the process if the system refuses one. So `check` must be called before.
 """
@@ -6,7 +6,9 @@ libzmq also starts threads, and aborts the process if the system refuses one. So
 from __future__ import annotations
 
 import functools
+import os
 import resource
+import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -22,6 +24,8 @@ CLIENT_THREADS: Final = 2
 """Threads of libzmq in a client: one for the connections, one that closes sockets."""
 DAEMON_THREADS: Final = 16
 """Upper bound of the threads of a daemon, which has most while it drives a device and reloads its configuration."""
+_PR_SET_PDEATHSIG: Final = 1
+"""Option of prctl(2): the signal that a process gets when the thread that started it ends."""
 
 
 def refusal_text() -> str:
@@ -66,3 +70,17 @@ def in_background(name: str, work: Callable[[], T]) -> Future[T]:
 
     threading.Thread(target=run, name=name, daemon=True).start()
     return done
+
+
+def end_with_parent(parent: int, number: signal.Signals) -> Callable[[], None]:
+    """Return a function with which a child of process `parent` gets a signal when the thread that started it ends."""
+    import ctypes  # imported only here: it needs memory that is writable and executable
+
+    prctl = ctypes.CDLL(None).prctl
+
+    def bind() -> None:
+        prctl(_PR_SET_PDEATHSIG, number)
+        if os.getppid() != parent:
+            os._exit(1)
+
+    return bind

@@ -34,7 +34,7 @@ report the reset that is part of the set-up."""
 FIRST_REPORTS_TIMEOUT_S: Final = 0.15
 """Longest wait for the first position, and for two equal reports, which show that a device reports steadily."""
 PLAYING_REPORT_TIMEOUT_S: Final = 1.0
-"""If a device has not reported by then that an effect plays, resets by other programs are taken to stay unnoticed."""
+"""If a device does not report within this time that an effect plays, its resets count as unnoticed (`resets_seen`)."""
 STOP_TIMEOUT_S: Final = 2.0
 """At the end of the daemon, a set-up in progress is abandoned after this time."""
 _RATE_INTERVAL_S: Final = 1.0

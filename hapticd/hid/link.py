@@ -92,6 +92,5 @@ def plan_paced_for_link(plan: Plan, force_hz: float | None) -> Plan:
     full_s = count * (len(plan.force) + 1) * report_s
     renewals = min(count, math.floor(full_s / plan.renew_s) + 1)
     full_s += renewals * len(plan.renew) * report_s + WRITER_DELAY_S
-    return replace(
-        plan, restore_s=gap_s, foreign_effect_s=max(max(count * gap_s, plan.foreign_effect_s) + held_up_s, full_s)
-    )
+    foreign_s = max(max(count * gap_s, plan.foreign_effect_s) + held_up_s, full_s)
+    return replace(plan, restore_s=gap_s, foreign_effect_s=foreign_s)

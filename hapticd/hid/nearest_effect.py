@@ -136,10 +136,8 @@ def _tried_times(max_s: float, scales: PeriodicScales) -> _TriedTimes:
     counts = np.floor((end_s - attack_s) * fade_time.counts_per_unit + fade_time.zero_counts + 1e-6)
     fade = np.clip(counts, fade_time.min_counts - 1, fade_time.max_counts).astype(np.int64)
     fade_from_s = np.maximum(end_s - fade_time.quantity(fade), attack_s)
-    is_valid = (end_s > 0.0) & (attack_s >= 0.0) & (attack_s < end_s) & (fade >= fade_time.min_counts)
-    return _TriedTimes(
-        duration[is_valid], attack[is_valid], fade[is_valid], attack_s[is_valid], fade_from_s[is_valid], end_s[is_valid]
-    )
+    valid = (end_s > 0.0) & (attack_s >= 0.0) & (attack_s < end_s) & (fade >= fade_time.min_counts)
+    return _TriedTimes(duration[valid], attack[valid], fade[valid], attack_s[valid], fade_from_s[valid], end_s[valid])
 
 
 def _products(mode: Mode, period_s: float, times: _TriedTimes) -> tuple[_Floats, _Floats, float]:

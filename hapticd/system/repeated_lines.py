@@ -134,8 +134,6 @@ class Repeats:
             return
         since = Since(known.times, 0.0 if at_once else now_s - known.logged_s, known.amounts)
         log, known.waiting, known.times, known.amounts = known.waiting, None, 0, {}
-        known.logged_s, known.interval_s = (
-            now_s,
-            min(max(2 * known.interval_s, MIN_REPEAT_INTERVAL_S), known.max_interval_s),
-        )
+        known.logged_s = now_s
+        known.interval_s = min(max(2 * known.interval_s, MIN_REPEAT_INTERVAL_S), known.max_interval_s)
         log(since)

@@ -8,12 +8,13 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.threads import end_with_parent
 from hapticd.protocol import places
 from hapticd.system.paths import RuntimePaths, daemon_paths
 
@@ -25,8 +26,6 @@ _END_TIMEOUT_S: Final = 5.0
 """Time in which the daemon must end after SIGTERM, before it is killed."""
 _MAX_SHOWN_LOG_LINES: Final = 20
 """Maximum number of lines from the end of the daemon's log that an error shows."""
-_PR_SET_PDEATHSIG: Final = 1
-"""Option of prctl(2): the signal that a process gets when its parent ends."""
 
 
 class DemoDaemon:
@@ -53,7 +52,7 @@ class DemoDaemon:
                 stderr=log,
                 env=environment,
                 start_new_session=True,
-                preexec_fn=_end_with_parent(os.getpid()),
+                preexec_fn=end_with_parent(os.getpid(), signal.SIGTERM),
             )
         try:
             runtime.mkdir(mode=0o700, exist_ok=True)
@@ -96,17 +95,3 @@ class DemoDaemon:
     def _last_log_lines(self) -> str:
         lines = self._log.read_text(errors="replace").split("\n")[-_MAX_SHOWN_LOG_LINES - 1 :]
         return "; ".join(line.strip() for line in lines if line.strip()) or "it logged nothing"
-
-
-def _end_with_parent(parent: int) -> Callable[[], None]:
-    """Return a function that makes the child process end with its parent, even if SIGKILL ends the parent."""
-    import ctypes  # imported only here: it needs memory that is writable and executable
-
-    prctl = ctypes.CDLL(None, use_errno=True).prctl
-
-    def bind() -> None:
-        prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-        if os.getppid() != parent:
-            os._exit(1)
-
-    return bind

@@ -381,7 +381,7 @@ def test_a_joystick_without_permission(tmp_path: Path) -> None:
     assert reported(tmp_path, devices.permissions, needs=Needs(device=Hid()), **how).startswith("fail")
     put(tmp_path, {"etc/systemd/system/hapticd.service": ""})
     how["group"] = lambda gid: "input"
-    assert reported(tmp_path, devices.permissions, **how).startswith("ok the service may drive Stick at")
+    assert reported(tmp_path, devices.permissions, **how).startswith("ok the service may drive Stick at /dev/hidraw0")
     how["group"] = lambda gid: "video"
     assert reported(tmp_path, devices.permissions, **how).startswith("warn")
 

@@ -43,7 +43,7 @@ def joystick(like: Joystick | None = None, **keys: Any) -> Iterator[FakePid]:
 
 
 def send(stick: FakePid, plan: Plan, force_n: tuple[float, float]) -> None:
-    """Return the reports that C sends for a force."""
+    """Send the reports that C makes of a force."""
     described = plan.to_c()
     for place, message in enumerate(plan.force):
         room = ffi.new("uint8_t[]", len(message.data))

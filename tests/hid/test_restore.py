@@ -175,9 +175,8 @@ def test_restoring_takes_at_most_a_third_of_a_slow_link_and_its_time_is_reported
         # Direction and envelope of two effects, and the gain of the device.
         assert len(plan.restore) == 5
         plan = plan_paced_for_link(plan, 1.0 / (report_s * len(plan.force)))
-        assert plan.foreign_effect_s is not None and (plan.foreign_effect_s <= MAX_FOREIGN_EFFECT_S + 1e-9) == (
-            report_s <= 4e-3
-        )
+        assert plan.foreign_effect_s is not None
+        assert (plan.foreign_effect_s <= MAX_FOREIGN_EFFECT_S + 1e-9) == (report_s <= 4e-3)
         writer = Writer(stick, plan, report_s)
         wanted = wobbling((4.0, -2.5))
         begun, longest, since, turns = writer.now, 0.0, writer.now, 0

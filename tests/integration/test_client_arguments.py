@@ -47,7 +47,7 @@ WRONG: list[tuple[str, Call]] = [
      lambda d: d.play("wood", direction=[0, "up"], amplitude_m_per_s2=1)),
     ("direction: must be a list of numbers, is 3", lambda d: d.play("wood", direction=3, amplitude_m_per_s2=1)),
     ("mode: must be a mapping, is 200", lambda d: d.play(mode=200, amplitude_m_per_s2=1)),
-    ("objects: must be a list of texts, is \"floor\"", lambda d: d.reset("floor")),
+    ("objects: must be a list of strings, is \"floor\"", lambda d: d.reset("floor")),
     ("text: must be text that UTF-8 can encode, is \"\\ud800\"", lambda d: d.mark("\ud800")),
     ("data.when: must be a JSON value, is a Python object of type date",
      lambda d: d.mark("a", {"when": date(2026, 1, 2)})),

@@ -138,7 +138,7 @@ def test_a_flood_is_one_line_at_once_and_then_sums_at_doubling_intervals(logged:
     assert logged.messages[-1] == "1 period missed"
 
 
-def test_missing_rights_are_logged_only_once(logged: pytest.LogCaptureFixture) -> None:
+def test_missing_rights_cause_one_hint_to_the_doctor(logged: pytest.LogCaptureFixture) -> None:
     clock = Clock()
     for missing, hints in ((True, 1), (False, 0)):
         logged.clear()

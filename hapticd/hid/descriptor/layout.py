@@ -11,7 +11,7 @@ A rule searches a `Group`: the fields of one report in one collection. A field t
 as a problem of the group. Rules for descriptors that deviate from the specification:
 
 - A physical range that was declared for an earlier field with another logical range is ignored, and the logical range
-  is used.
+  is used. Otherwise a duration could become minutes.
 - If the logical range of a field exceeds its bits, a field with a scale (axes, magnitudes) is refused, because its
   scale is not known. The range of any other field is limited to its bits.
 - A report is identified by the collection around its fields, and its fields must share one report id. If a report

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import sys
@@ -14,13 +13,12 @@ from types import ModuleType
 from typing import Any, Final
 
 from hapticd.base.errors import HapticdError, collapse_whitespace, known_names
+from hapticd.base.threads import end_with_parent
 from hapticd.sweeps.columns import Row
 from hapticd.sweeps.measures.function_process import Function
 from hapticd.sweeps.measures.function_values import values_of
 from hapticd.sweeps.measures.sweep_point import SweepPoint
 
-_PR_SET_PDEATHSIG: Final = 1
-"""Option of prctl(2): the signal that a process gets when the thread that started it ends."""
 _MAX_ERROR_CHARACTERS: Final = 500
 """Length in characters at which error texts of a function are cut."""
 
@@ -30,9 +28,7 @@ def serve() -> None:
 
     The system kills the process when the thread that started it ends, even during a call.
     """
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != int(sys.argv[1]):
-        return
+    end_with_parent(int(sys.argv[1]), signal.SIGKILL)()
     # A terminal sends SIGINT to all processes; the process that sends the points handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe = Connection(os.dup(0))
