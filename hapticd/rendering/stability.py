@@ -68,8 +68,8 @@ class Timing:
     """Damping of the handle (N s/m) that passivity needs per 1 N/m of stiffness: half a period plus the delay, if both
     are constant."""
     echo: float
-    """Damping of the handle (N s/m) that passivity needs per 1 N s/m of virtual damping: 1 if forces are held exactly
-    as long as the interval of positions."""
+    """Damping of the handle (N s/m) that passivity needs per 1 N s/m of virtual damping: 1 if no force is held
+    for longer than the interval of positions."""
     reading_s: float
     """Shortest time between two measured positions that the servo reads."""
     gain: float = 1.0
