@@ -66,7 +66,7 @@ struct hd_feature {
 struct hd_onset {
     int silent;                    /* the probe was already inside: no tap, and the force ramps up */
     int slid;                      /* reached along another, pressed surface: no tap */
-    int stood;                     /* slid, but without motion of the probe: the shape already lay between the two */
+    int stood;                     /* slid without motion of the probe: the shape already lay between proxy and probe */
     double fraction;               /* of the path from the last sample to this one, at which the surface was met */
     struct hd_contact_point point; /* where the surface was met; if silent, at the probe */
     struct hd_feature feature;

@@ -9,9 +9,8 @@
 /* 1 minus a few rounding errors, so that a command at the limit never rounds above it. */
 #define HD_JUST_BELOW 0.9999999999999990
 
-/* Room for noise, as a multiple of its RMS. One Gaussian sample in 16,000 is larger; such a sample scales the noise
- * further down.
- */
+/* Room for noise, as a multiple of its RMS. One Gaussian sample in 16,000 is larger and scales the noise further
+ * down. */
 #define HD_NOISE_CREST 4.0
 /* Time in which gains of the limit rise or fall. It does not follow the scene's ramp_s, which is for commands. */
 #define HD_LIMIT_RAMP_S 0.02

@@ -198,8 +198,7 @@ static HD_RT void grow_backwards(const struct hd_velocity *v, struct hd_velocity
 }
 
 /* Extrapolates the line's slope from the middle of its window to the end, with the acceleration since the previous
- * line.
- */
+ * line. */
 static HD_RT void correct_for_bend(struct hd_velocity *v, int a, double span_s) {
     const struct hd_velocity_axis *axis = &v->axis[a];
     const double before_span_s = (double)axis->before.span_s;

@@ -258,9 +258,8 @@ def _vibrations(material: Material, output: Output) -> Iterator[Vibration]:
         yield _waveform_vibration(waveform, output)
     for use, mode in modes_of(material):
         shown, _ = displayed_mode(mode, output)
-        yield Vibration(
-            use, mode.frequency_hz, None if shown is None else shown.frequency_hz, strike_error(mode, output)
-        )
+        shown_hz = None if shown is None else shown.frequency_hz
+        yield Vibration(use, mode.frequency_hz, shown_hz, strike_error(mode, output))
     if isinstance(texture, Stochastic):
         pair = displayed_pair(texture, output)
         yield Vibration("texture", texture.peak_hz, None if pair is None else pair[0], None)

@@ -80,7 +80,7 @@ class Recording:
 
     @property
     def changes(self) -> list[dict[str, Any]]:
-        """What commands changed or did, in order. The first entry has the scene's revision at the start."""
+        """Changes and actions of commands, in order. The first entry has the scene's revision at the start."""
         changes = self.texts.get("changes")
         return [change for change in changes if isinstance(change, dict)] if isinstance(changes, list) else []
 

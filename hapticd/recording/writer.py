@@ -146,7 +146,7 @@ class RecordingWriter:
         self.event_count += 1
 
     def write_change(self, change: Texts) -> None:
-        """Append an entry to the list `changes` of the recording: what a command changed or did."""
+        """Append a change or an action of a command to the list `changes` of the recording."""
         self._note("change", change)
 
     def write_all(self, texts: Texts, changes: Iterable[Texts], samples: Samples, events: Iterable[Texts]) -> None:

@@ -362,7 +362,7 @@ def _root_mean_square(errors: list[float]) -> float:
 def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
     """Return an upper bound of the magnitude of mode plus tail over all times, and the time of the largest sample.
 
-    Between two samples at a distance h, a function exceeds the larger sample by at most h^2/8 times its curvature.
+    Between two samples at a distance h, a function exceeds the larger one by at most h^2/8 times its largest curvature.
     """
     sounding = [mode] if tail is None else [mode, tail]
     highest, where, begin = 0.0, 0.0, 0.0
@@ -396,7 +396,7 @@ def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, lo
 
 
 def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NO_LOAD) -> complex:
-    """Return the complex fraction, ideally 1, of a mode in the handle's acceleration, for a force of this shape."""
+    """Return the complex fraction, ideally 1, of a mode in the handle's acceleration in the band, for this shape."""
     grid = _grid(mode, rate_hz)
     struck = np.zeros_like(grid.target)
     for ringing in (shape.mode, shape.tail):

@@ -38,8 +38,8 @@ class RoundProperties(NamedTuple):
     """Stiffness around the disc."""
     spring: Floats
     """The stiffness of friction's spring, which is included in `tangent`."""
-    friction_per_m: Floats
-    """Change of the friction force per metre of depth."""
+    friction_per_depth: Floats
+    """Change of the friction force with the depth."""
 
 
 def fading(part: Floats) -> tuple[Floats, Floats, Floats]:
@@ -85,5 +85,5 @@ def round_properties(radius_m: Floats, materials: npt.NDArray[np.void], press_n:
         normal=normal.max(axis=1),
         tangent=(around + own).max(axis=1),
         spring=own.max(axis=1),
-        friction_per_m=(mu * normal * lever).max(axis=1),
+        friction_per_depth=(mu * normal * lever).max(axis=1),
     )

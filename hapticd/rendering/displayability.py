@@ -80,7 +80,7 @@ class Touched:
     stiffness_n_per_m: float = 0.0
     damping_n_s_per_m: float = 0.0
     strike_fraction: float = 1.0
-    """Fraction of the stiffness along the strike: (n . d)^2, with the normal n and the direction d of the strike."""
+    """Fraction of stiffness and damping along the strike: (n . d)^2, with the normal n and the strike's direction d."""
 
     @property
     def design_n_per_m(self) -> float:

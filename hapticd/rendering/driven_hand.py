@@ -2,7 +2,8 @@
 
 A strike acts along the motion and grows with speed and force, so each groove adds energy. If the hand dissipates less,
 it keeps moving from groove to groove. Noise grows with speed, too: with a large gain it moves the hand, whose motion
-sustains the noise. The check runs the servo's tick with the simulated joystick; a run takes a few milliseconds.
+sustains the noise. As there is no closed form, the check runs the servo's tick with the simulated joystick, in a few
+milliseconds per run.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ class EndState:
 
 
 def end_state(advance: Callable[[float], npt.NDArray[np.float64]], longest_s: float = 640.0) -> EndState:
-    """Return how the motion that `advance` continues ends.
+    """Return the end state of the motion that `advance` continues.
 
     `advance(duration_s)` returns position and velocity, (n, 4) in m and m/s, at the next ticks. The hand must have
     stopped moving, and vibrations must be off. A handle that slides at a constant speed counts as at rest.

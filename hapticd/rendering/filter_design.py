@@ -8,9 +8,9 @@ v_0 .. v_p (Gray and Markel, "A normalized digital filter structure", IEEE Trans
     H = sqrt(E_p) / A_p * sum over m of v_m B_m / sqrt(E_m)
 
 so A = A_p = 1 + sum a_i z^-i, and in time x[n] = e[n] - sum a_i x[n-i]. The signals B_m / sqrt(E_m) are orthonormal for
-white input of unit power, so the output has unit power when the squares of the taps add up to one. Without taps v = (1,
-0, ..., 0), the all-pole filter. The filter is stable if all reflection coefficients are in (-1, 1). Weighted means
-of such coefficients are in that interval, too, so filters are blended linearly in their reflection coefficients.
+white input of unit power, so the output has unit power when the squares of the taps add up to one. Without taps the
+filter is all-pole, with v = (1, 0, ..., 0). A filter is stable if all reflection coefficients are in (-1, 1). Weighted
+means of such coefficients are in that interval, too, so filters are blended linearly in these coefficients.
 
 Frequencies of the design are angles w in (0, pi), and their map y = 1 - cos w = 2 sin^2(w/2), in which the power of any
 filter of order p is a ratio of polynomials of degree p at most.
@@ -238,7 +238,7 @@ class _Family:
         return 2 * math.sin(self.peak / 2) ** 2
 
     def tilt(self, size: Array) -> Array:
-        """Return `tilt` of the pole M = 1 + tilt t that puts the density at angle 0 1 dB below the peak; 0: no pole."""
+        """Return `tilt` of M = 1 + tilt t with a density at angle 0 that is 1 dB below the peak; 0 without a pole."""
         if not self.pole:
             return np.zeros_like(size)
         end = _END_DIP_RATIO * 2 / (2 - self.y_peak) * (size / self.y_peak) ** 2

@@ -167,7 +167,7 @@ class _Recorder:
             part = slice(start, min(count, start + self.BLOCK_TICKS))
             status = block(part, self._room_pointer, len(self._room), self._count)
             if status == Status.ERR_MEMORY:
-                raise MemoryError("not enough memory for the events of a run")
+                raise MemoryError("not enough memory for the state of a run")
             if status != Status.OK:
                 raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
             if self._count[0]:

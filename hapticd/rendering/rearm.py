@@ -34,7 +34,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def rearm_sigmas(rate_hz: float) -> float:
-    """Return the part of rearm_m that noise needs for at most one false tap a day, in standard deviations of it."""
+    """Return the part of rearm_m for noise, in standard deviations of the noise, at one false tap a day or less."""
     return -2.0 * NormalDist().inv_cdf(min(0.5, 2.0 / (rate_hz * SECONDS_PER_DAY)))
 
 
@@ -76,7 +76,7 @@ class Resting:
 
 
 def at_rest(position_m: Floats, step_m: float, rate_hz: float) -> Resting:
-    """Return the noise and steps of positions (n,) of a handle that nothing drives, at each tick.
+    """Return noise and step of the positions (n,), one for each tick, of a handle that nothing drives.
 
     A tick without a new position has NaN. Slow motion is removed as a straight line over each DETREND_WINDOW_S.
     """

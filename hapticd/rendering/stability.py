@@ -33,8 +33,8 @@ Verdict: TypeAlias = Literal["safe", "unproved", "unsafe"]
 configured hand or with the handle released, or dry friction does not absorb noise of positions. unproved: neither."""
 
 SPEED_ESTIMATE_ERROR_GAIN: Final = 7.0 / 3.0
-"""Largest gain of the velocity estimator from slope errors of its fitted lines to the estimated speed. It adds up to
-2/3 of the change of slope since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
+"""Largest gain of the velocity estimator from slope errors of its fitted lines to the estimated speed. The
+estimator adds up to 2/3 of the change of slope since the previous line: 1 + 2 * 2/3 (csrc/tick/hd_velocity.c)."""
 WINDOW_MEAN_ENERGY_GAIN: Final = 2.0
 """Largest ratio of the energy of means over windows of changing length to that of the averaged signal (Hardy)."""
 ASSUMED_PRESS_N: Final = 1.0
@@ -68,15 +68,15 @@ class Timing:
     """Damping of the handle (N s/m) that passivity needs per 1 N/m of stiffness: half a period plus the delay, if both
     are constant."""
     echo: float
-    """Damping of the handle (N s/m) that passivity needs per 1 N s/m of virtual damping: 1 if forces are held exactly
-    as long as the interval of positions."""
+    """Damping of the handle (N s/m) that passivity needs per 1 N s/m of virtual damping: 1 if no force is held
+    for longer than the interval of positions."""
     reading_s: float
     """Shortest time between two measured positions that the servo reads."""
     gain: float = 1.0
     """Factor by which an actuator that overshoots may amplify the noise of forces."""
 
     def with_actuator(self, gain: float, late_s: float, mean_s: float) -> Timing:
-        """Return the timing with the lag of an actuator, given as Actuator.shares returns it."""
+        """Return the timing with the lag of an actuator, given as Actuator.moments returns it."""
         return replace(
             self,
             delay_s=self.delay_s + mean_s,
@@ -307,17 +307,18 @@ class Margin:
 
 
 def limits(
-    stiffness_n_per_m: Floats, damping_n_s_per_m: Floats, noise_n: Floats, still_noise_n: Floats, loop: Loop
+    stiffness_n_per_m: Floats, damping_n_s_per_m: Floats, noise_n: Floats, fixed_noise_n: Floats, loop: Loop
 ) -> tuple[Floats, Floats]:
     """Return the stiffness factors up to which contact sets are passive, and up to which friction absorbs their noise.
 
-    All arrays are (n,). `noise_n` is the noise that grows with the stiffness, `still_noise_n` that which does not, both
-    for the worse axis. A factor is infinite without a limit, and 0 if no stiffness is safe.
+    All arrays are (n,): stiffness and damping that count for passivity; `noise_n` grows with the stiffness and
+    `fixed_noise_n` does not, both for the worse axis. A factor is infinite without a limit, and 0 if no stiffness is
+    safe.
     """
     b, c = loop.dynamics.handle_damping_n_s_per_m, loop.dynamics.friction_n / loop.timing.gain
     left = b - loop.damping_echo * damping_n_s_per_m
     need = loop.timing.reach_s * stiffness_n_per_m
-    quiet = c - still_noise_n
+    quiet = c - fixed_noise_n
     with np.errstate(divide="ignore", invalid="ignore"):
         # A set without stiffness and damping is passive even on a handle without damping.
         passive = np.where(need > 0.0, np.maximum(left, 0.0) / need, np.where(left >= 0.0, np.inf, 0.0))

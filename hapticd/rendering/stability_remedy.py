@@ -90,7 +90,7 @@ def _is_safe_near(
 def _largest_safe_factor(
     safe: Callable[[SurfaceTable], bool], with_factor: Callable[[float], SurfaceTable], top: float
 ) -> float:
-    """Return the largest safe stiffness factor up to `top`; 0 without a safe factor."""
+    """Return the largest factor up to `top` that is safe, as are slightly smaller ones; 0 if none was found."""
     low = high = top
     while not _is_safe_near(safe, with_factor, low):
         low, high = _SEARCH_FACTOR_STEP * low, low

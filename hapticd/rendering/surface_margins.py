@@ -38,9 +38,9 @@ class _KindMargins(NamedTuple):
     """Noise along the normal that grows with the stiffness."""
     across_n: float
     """Noise along the surface that grows with the stiffness."""
-    constant_along_n: float
+    fixed_along_n: float
     """Noise along the normal that does not grow with the stiffness."""
-    constant_across_n: float
+    fixed_across_n: float
     """Noise along the surface that does not grow with the stiffness."""
 
 
@@ -88,14 +88,12 @@ class SurfaceMargins:
             if common is None:
                 margins.append(math.inf)
                 continue
-            passive, along_n, across_n, constant_along_n, constant_across_n = common
+            passive, along_n, across_n, fixed_along_n, fixed_across_n = common
             size, quiet_n = x + y, self._quiet_n
             # Noise counts on the worse of the two axes.
             noise_n = size * max(along_n * x + across_n * y, along_n * y + across_n * x)
-            if constant_along_n or constant_across_n:
-                quiet_n -= size * max(
-                    constant_along_n * x + constant_across_n * y, constant_along_n * y + constant_across_n * x
-                )
+            if fixed_along_n or fixed_across_n:
+                quiet_n -= size * max(fixed_along_n * x + fixed_across_n * y, fixed_along_n * y + fixed_across_n * x)
             silent = 0.0 if quiet_n < 0.0 else quiet_n / noise_n if noise_n > 0.0 else math.inf
             margins.append(min(passive, silent))
         return margins

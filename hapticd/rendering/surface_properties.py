@@ -86,8 +86,8 @@ def _put_discs(surfaces: SurfaceTable, properties: SurfaceProperties) -> None:
     found = round_properties(surfaces.objects["half_m"][discs, 0], materials[discs], ASSUMED_PRESS_N)
     properties.normal[discs] = properties.normal_noise[discs] = found.normal
     properties.tangent[discs] = found.tangent
-    properties.friction_per_depth[discs] = found.friction_per_m
-    properties.tangent_noise[discs] = found.tangent + found.spring + found.friction_per_m
+    properties.friction_per_depth[discs] = found.friction_per_depth
+    properties.tangent_noise[discs] = found.tangent + found.spring + found.friction_per_depth
 
 
 def properties_of(surfaces: SurfaceTable) -> SurfaceProperties:

@@ -73,7 +73,7 @@ def test_a_disc_that_is_large_is_as_stiff_as_a_wall() -> None:
     found = round_properties(np.array([100.0]), material, PRESS_N)
     assert abs(found.normal[0] / 800 - 1) < 1e-3
     assert abs(found.tangent[0] / 500 - 1) < 1e-3
-    assert abs(found.friction_per_m[0] / 240 - 1) < 1e-3
+    assert abs(found.friction_per_depth[0] / 240 - 1) < 1e-3
 
 
 def test_on_a_small_disc_friction_is_several_times_as_stiff() -> None:

@@ -130,7 +130,7 @@ def held_forces(record: Record) -> list[Floats]:
     """Return the models of the held force to be fitted, (n,) in N, without delay.
 
     A force held for one period is the command itself. A longer hold is modelled as a running mean and, if positions
-    are reported regularly, also as a staircase.
+    are reported once per hold, also as a staircase.
     """
     periods = max(1, round(record.hold_s * record.rate_hz))
     if periods == 1:

@@ -29,7 +29,7 @@ CENTERING_SPRING: Final = Spring(kind="spring", center_m=(0.0, 0.0), stiffness_n
 FIRST_BURST_HZ: Final = 60.0
 """Frequency of the first burst, in the middle of the range."""
 MAX_BURST_HZ: Final = 1600.0
-"""Highest frequency of a drive with an accelerometer."""
+"""Highest frequency of a drive with an accelerometer, as in the measurements of the paper."""
 BURST_DECAYS: Final = 3.0
 """Length of a burst in decay times."""
 MAX_BURST_FORCE_FRACTION: Final = 0.8

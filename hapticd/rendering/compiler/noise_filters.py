@@ -30,7 +30,7 @@ class Design(NamedTuple):
     speeds: tuple[float, ...]
     forces: tuple[float, ...]
     nodes: npt.NDArray[np.float64]
-    """Array (speeds, forces, numbers): RMS in m/s^2, `order` reflection coefficients, any order + 1 ladder taps."""
+    """Array (speeds, forces, numbers): RMS in m/s^2, `order` reflection coefficients, with `taps` order + 1 taps."""
     muted: bool = False
     """Whether the noise is muted."""
 
