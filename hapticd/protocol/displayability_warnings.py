@@ -56,7 +56,7 @@ class MaterialReport(NamedTuple):
         refused = material_rate_faults(name, material, output)
         if refused:  # no object uses the material yet; one that does is refused
             return refused
-        muted = [
+        above = [
             Problem(
                 path_text(("materials", name, *_PATH_BY_MODE.get(one.mode, (one.mode,)))),
                 above_rate(one.frequency_hz, one.shown_hz, output),
@@ -64,7 +64,7 @@ class MaterialReport(NamedTuple):
             for one in not_displayed
             if (name, one.mode) not in played
         ]
-        return muted + warnings
+        return above + warnings
 
 
 def above_rate(frequency_hz: float, shown_hz: float | None, output: Output) -> str:
