@@ -168,7 +168,7 @@ class Client(ABC):
         return cast(RevisionResult, await self.call(method, params))
 
     async def get_status(self, detail: bool = False) -> Status:
-        """Return the daemon's status: device, rate, revision, forces, faults, counters; with `detail` histograms."""
+        """Return device, rate, real-time rights, revision, forces, faults, counters; with `detail` also histograms."""
         return cast(Status, await self.call("get_status", {"detail": True} if detail else {}))
 
     async def get_state(self) -> State:
@@ -201,7 +201,7 @@ class Client(ABC):
     async def update_scene(
         self, objects: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
-        """Change objects of the scene, by id, with a JSON Merge Patch (RFC 7396) of the scene's `objects`."""
+        """Change scene objects by id, with a JSON Merge Patch (RFC 7396) of `objects`; None removes an object."""
         params: dict[str, object] = {"objects": patch_tree(objects, "scene", "objects")}
         return await self._change("update_scene", params, expect_revision, wait)
 
@@ -344,7 +344,7 @@ class Client(ABC):
 
     @asynccontextmanager
     async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:
-        """Keep the forces on while the `with` block runs, by a lease; yields the token of the lease.
+        """Hold the lease while the `with` block runs; yields the token of the lease.
 
         A thread renews the lease three times within `duration_s`, over a separate connection. If the process ends, the
         forces fade out. In asyncio a task renews it, so the forces also fade out if the event loop is blocked for
@@ -417,7 +417,7 @@ class Client(ABC):
     # ---- Telemetry ---------------------------------------------------------------------------------------------------
 
     def samples(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[SampleBatch]:
-        """Subscribe to the samples of all ticks, in batches of 20 ms: arrays whose `lost` counts missing samples.
+        """Subscribe to the samples of all ticks, in batches of 20 ms: numpy arrays whose `lost` counts missing samples.
 
         The subscription begins at this call, in asyncio at `async with` or the first item. Iteration raises
         DaemonNotRunning if nothing arrives for `timeout_s` (by default that of the client), and warns (TelemetryLoss)
@@ -451,7 +451,7 @@ class Client(ABC):
     def telemetry(
         self, *topics: Topic, timeout_s: float | None = None
     ) -> Subscription[tuple[Topic, dict[str, object]]]:
-        """Subscribe to several topics on one socket; items are pairs (topic, message), in the order of the daemon."""
+        """Subscribe to several topics on one socket; items are pairs (topic, message), in the order of sending."""
         return Subscription(self, topics, lambda topic, message: (topic, message), timeout_s)
 
 
@@ -471,9 +471,8 @@ class Subscription(Generic[T]):
     ) -> None:
         """Create a subscription. With `newest` the daemon sends an item only when the program requests one."""
         if not topics:
-            raise arguments.invalid_argument(
-                "telemetry", f"needs at least one topic; known: {', '.join(get_args(Topic))}"
-            )
+            known = ", ".join(get_args(Topic))
+            raise arguments.invalid_argument("telemetry", f"needs at least one topic; known: {known}")
         for topic in topics:
             arguments.one_of("topic", topic, get_args(Topic))
         self._timeout_s = client.timeout_s if timeout_s is None else arguments.seconds("timeout_s", timeout_s)

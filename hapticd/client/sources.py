@@ -47,9 +47,8 @@ def scene_tree(scene: SceneSource) -> Mapping[str, object]:
         read, document, root = read_scene(arguments.path("scene", scene))
         return FromFile(read.to_dict(), document, root)
     if not hasattr(scene, "to_dict"):
-        raise arguments.invalid_argument(
-            "scene", f"must be a mapping, the path of a file or a hapticd.Scene, is {shown(scene)}"
-        )
+        problem = f"must be a mapping, the path of a file or a hapticd.Scene, is {shown(scene)}"
+        raise arguments.invalid_argument("scene", problem)
     return scene.to_dict()
 
 

@@ -82,7 +82,7 @@ class CommandRing:
         batch = ffi.new("struct hd_command[]", [command[0] for command in commands])
         status = lib.hd_servo_send(self._servo, batch, len(commands), self._sequence)
         if status == Status.ERR_FULL:
-            raise RingFullError(f"the servo's command ring has no room for {len(commands)} more commands")
+            raise RingFullError(f"the servo's command ring has no room for {len(commands)} more")
         if status != Status.OK:
             raise HapticdError(invalid_reason())
         return int(self._sequence[0])

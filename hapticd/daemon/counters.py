@@ -105,7 +105,7 @@ class Counters(NamedTuple):
     """Fraction of the periods of the last complete second that were missed."""
     signs_word: int
     energy_j: float
-    """Energy that touched objects gave to the hand in the current or last contact. Negative: the hand gave more."""
+    """Energy given to the hand in the current or last contact (passivity observer). Negative: the hand gave more."""
     largest_j: float
     """The largest `energy_j` of any contact."""
     contacts: int

@@ -410,10 +410,10 @@ class Engine:
         reports = {name: self.report_of(name, each) for name, each in materials_in(objects, materials).items()}
         self._reports = dict(reports)
         played = self.played()
-        muted = [one for each in reports.values() for one in each.undisplayable]
+        undisplayable = [one for each in reports.values() for one in each.undisplayable]
         others = [one for each in reports.values() for one in each.warnings]
         others += warnings(objects, {}, self.output)
-        return [one for one in muted if (one.material, one.mode) not in played], others
+        return [one for one in undisplayable if (one.material, one.mode) not in played], others
 
     def report_of(self, name: str, material: Material) -> MaterialReport:
         """Return the cached report of what is not displayed as written in a material. For any thread."""

@@ -71,7 +71,6 @@ from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
-_log = logging.getLogger("hapticd")
 _MAX_PARAM_MEMBERS: Final = 16
 """Largest number of members of `params`, checked before their values; no method has more parameters."""
 
@@ -388,11 +387,7 @@ class Methods:
 
     def _log_reload(self, level: int, line: str) -> None:
         """Log the outcome of a reload, at most one line a second: a client may request hundreds."""
-        self.repeats.note(
-            f"reload {level}",
-            lambda since: _log.log(level, "%s%s", line, since.more),
-            max_interval_s=MIN_REPEAT_INTERVAL_S,
-        )
+        self.repeats.line(f"reload {level}", level, line, MIN_REPEAT_INTERVAL_S)
 
     def _dump_flight(self, _: NoParams) -> dict[str, object]:
         if self._flight is None:

@@ -96,9 +96,7 @@ class PlayParams(Model):
         description="direction of the first half wave's force; its length, at least 1e-9, does not matter"
     )
     amplitude_m_per_s2: float = Field(
-        ge=0,
-        le=1e5,
-        description="coefficient A of the mode; with `material`, the quantity that its `attack` defines",
+        ge=0, le=1e5, description="coefficient A of the mode; with `material`, the quantity that its `attack` defines"
     )
     mode: ModeKeys | None = Field(
         default=None,

@@ -418,7 +418,7 @@ class Peers:
         return next(reversed(max(processes.values(), key=len).values()))
 
     def _account(self, peer: Peer) -> None:
-        """Update `held` of a peer. While the sum exceeds Limits.buffers, disconnect the peer that holds most."""
+        """Update `held` of a peer. Beyond Limits.buffers, disconnect peers of the user and process that hold most."""
         held = peer.parser.held + peer.unsent
         if held == peer.held or peer.closed:
             return

@@ -67,7 +67,8 @@ def run(
 
     `config_paths` are merged in order; without any, the configuration is searched (config/locations.py). A reload reads
     the same files again, or searches again if none was found. `log_level`: one of journal.LOG_LEVELS. Raises
-    HapticdError if the daemon cannot start, for example because another daemon uses the runtime directory.
+    HapticdError if the daemon cannot start: invalid configuration, another daemon in the runtime directory, or
+    required real-time rights that are refused.
     """
     with ExitStack() as stack:
         memory.return_large_blocks()

@@ -37,15 +37,15 @@ class MaterialReport(NamedTuple):
     """Modes and spectra with frequencies above 0.4 of the output's rate."""
     warnings: list[Problem]
     """Parts that are displayed, but not as written."""
-    no_faults: bool
+    fine: bool
     """Whether there is nothing to report, and no texture has a frequency above half the output's rate."""
 
     @classmethod
     def of(cls, name: str, material: Material, output: Output) -> Self:
         """Return the report of a material for an output."""
         not_displayed, warnings = undisplayable({name: material}, output), material_warnings(name, material, output)
-        no_faults = not (not_displayed or warnings or material_rate_faults(name, material, output))
-        return cls(material, output, not_displayed, warnings, no_faults)
+        fine = not (not_displayed or warnings or material_rate_faults(name, material, output))
+        return cls(material, output, not_displayed, warnings, fine)
 
     def problems(self, name: str, played: Collection[tuple[str, str]]) -> list[Problem]:
         """Return the warnings of the material, or its faults if it cannot be rendered, with paths in a configuration.
@@ -56,7 +56,7 @@ class MaterialReport(NamedTuple):
         refused = material_rate_faults(name, material, output)
         if refused:  # no object uses the material yet; one that does is refused
             return refused
-        muted = [
+        above = [
             Problem(
                 path_text(("materials", name, *_PATH_BY_MODE.get(one.mode, (one.mode,)))),
                 above_rate(one.frequency_hz, one.shown_hz, output),
@@ -64,7 +64,7 @@ class MaterialReport(NamedTuple):
             for one in not_displayed
             if (name, one.mode) not in played
         ]
-        return muted + warnings
+        return above + warnings
 
 
 def above_rate(frequency_hz: float, shown_hz: float | None, output: Output) -> str:
@@ -109,11 +109,11 @@ def _is_fine(item: SceneObject, reports: Mapping[str, MaterialReport]) -> bool:
     """Return whether an object is known to be displayed as written; a wall with patches needs a closer check."""
     if item.kind == "wall" and item.patches:
         return False
-    return all(reports[name].no_faults for name in material_names(item))
+    return all(reports[name].fine for name in material_names(item))
 
 
 def operator_warnings(waypoints: npt.NDArray[np.float64], workspace_m: float, where: str | None) -> list[Problem]:
-    """Return a warning of the first waypoint, of shape (n, 3), that is beyond the stops of the handle; else [].
+    """Return a warning of the first of `waypoints`, shape (n, 3), that is beyond the stops of the handle; else [].
 
     `where` is the place of the warning, by default that of the waypoint.
     """

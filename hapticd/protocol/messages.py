@@ -34,7 +34,7 @@ _MAX_SHARED_STRING_CHARACTERS: Final = 64
 """Equal strings up to this length, in characters, share memory in a decoded body; most are names of materials."""
 
 _MAX_FLAT_BODY_BYTES: Final = 4096
-"""Largest body decoded without a scan of its structure, in bytes. A wrong length in it allocates 4096 elements."""
+"""Largest body decoded without a scan of its structure, in bytes. A length in it may claim at most as many elements."""
 # The tags of maps and arrays, and of extensions. They also occur inside strings and numbers, so their count is an upper
 # bound of the number of containers or extensions.
 _CONTAINER_TAGS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])

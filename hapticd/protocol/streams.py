@@ -65,10 +65,7 @@ def write(kind: Kind, seq: int, x: float, y: float) -> bytes:
 
 
 def read(body: bytes) -> Streamed | None:
-    """Return the streamed target or force in a body, or None if the body is not encoded as `write` does.
-
-    Integers may be shorter than those of `write`.
-    """
+    """Return the message in a body, or None if the body is not encoded as by `write`; integers may be shorter."""
     if body.startswith(_TARGET.head):
         form = _TARGET
     elif body.startswith(_FORCE.head):

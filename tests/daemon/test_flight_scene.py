@@ -9,7 +9,7 @@ from hapticd.config.modes import Mode
 from hapticd.config.scene import MAX_PATCHES, Scene, SceneObject, validate_object, validate_scene
 from hapticd.daemon.flight_scene import MAX_KEPT_WEIGHT, FlightScene
 from hapticd.protocol.changes import MAX_FLIGHT_OBJECTS, MAX_FLIGHT_PARTS, Change, Played, Reset, Revised, revised
-from hapticd.protocol.changes import MAX_LISTED_CHANGES as MOST_TOLD
+from hapticd.protocol.changes import MAX_LISTED_CHANGES as MAX_LISTED
 
 MATERIALS = default_config().materials
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
@@ -89,7 +89,7 @@ def test_of_too_many_changes_the_oldest_are_part_of_the_beginning(scene: FlightS
 
 def test_a_change_that_is_too_large_to_be_told_is_a_new_beginning(scene: FlightScene) -> None:
     before = validate_scene({"objects": {"floor": FLOOR}})
-    after = before.with_objects({f"disc{number}": disc(number / 1e4) for number in range(MOST_TOLD + 1)})
+    after = before.with_objects({f"disc{number}": disc(number / 1e4) for number in range(MAX_LISTED + 1)})
     scene.take(moved(2, 0.1))
     change = revised(3, before, after, list(after.objects), MATERIALS, MATERIALS)
     assert change.complete is not None
@@ -130,7 +130,7 @@ def test_patches_count_as_objects_do() -> None:
         change = revised(revision, before, some, ["one", "other"], MATERIALS, MATERIALS)
         assert change.complete is None
         scene.take(change)
-    assert kept(scene)[0] == [6, 7, 8, 9], "1003 pieces each"
+    assert kept(scene)[0] == [6, 7, 8, 9], "1003 parts each"
 
 
 def test_after_a_change_that_never_came_nothing_is_known_until_all_of_it_is_told(scene: FlightScene) -> None:

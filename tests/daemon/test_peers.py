@@ -249,7 +249,7 @@ def test_one_that_floods_over_many_connections_costs_another_a_turn_each() -> No
 def ends(
     path: Path, made: Peers, serve: Callable[[], object], caplog: pytest.LogCaptureFixture, data: bytes, kind: bytes
 ) -> str:
-    """Check the log of a client that sends these bytes repeatedly and is disconnected."""
+    """Return the log of a client that sends these bytes repeatedly until it is disconnected."""
     stop = threading.Event()
 
     def turn() -> None:
