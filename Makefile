@@ -263,7 +263,7 @@ VERIFIED = warnings analyze msan rtsan jitter verify-model rtsan-daemon tsan-dae
 	test-systemd test-pythons
 
 .PHONY: verify
-verify: tools ## run everything that make check leaves out, or the part VERIFIED='...', before you close an issue of its checks: hours
+verify: tools ## run everything that make check leaves out, or the part VERIFIED='...', before you close an issue about its checks: hours
 	@mkdir -p build/verify; failed=; for each in $(VERIFIED); do \
 		begin=$$(date +%s); \
 		if $(MAKE) --no-print-directory $$each >build/verify/$$each.log 2>&1; then said=passed; \
