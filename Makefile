@@ -190,7 +190,7 @@ deb: tools ## build dist/hapticd_VERSION_ARCH.deb with its dependencies from PyP
 	@bash packaging/deb.sh $(BIN)/python $(DEB_VERSION)
 
 .PHONY: test-deb
-test-deb: deb ## run lintian on the Debian package; install, upgrade and purge it in a virtual machine: minutes
+test-deb: deb ## run lintian on the Debian package; install, upgrade and purge it under systemd in a virtual machine: minutes
 	@bash packaging/lint.sh
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh -d
 
@@ -263,7 +263,7 @@ VERIFIED = warnings analyze msan rtsan jitter verify-model rtsan-daemon tsan-dae
 	test-systemd test-pythons
 
 .PHONY: verify
-verify: tools ## run everything that make check leaves out, or the part VERIFIED='...', before you close an issue of its checks: hours
+verify: tools ## run everything that make check leaves out, or the part VERIFIED='...', before you close an issue about its checks: hours
 	@mkdir -p build/verify; failed=; for each in $(VERIFIED); do \
 		begin=$$(date +%s); \
 		if $(MAKE) --no-print-directory $$each >build/verify/$$each.log 2>&1; then said=passed; \
@@ -271,8 +271,6 @@ verify: tools ## run everything that make check leaves out, or the part VERIFIED
 		echo "$$each: $$said, $$(($$(date +%s) - begin)) s"; \
 		grep -h '^needed a second run' build/verify/$$each.log; \
 	done; [ -z "$$failed" ] || { echo "failed:$$failed" >&2; exit 1; }
-
-SPELLED = CHANGELOG.md Makefile README.md bench config csrc docs examples hapticd packaging pyproject.toml systemd
 
 .PHONY: lint
 lint: tools
@@ -282,7 +280,7 @@ lint: tools
 	$(BIN)/lint-imports --no-logo --no-cache
 	@$(BIN)/python -m tests.project.check_includes
 	@$(BIN)/python -m tests.project.check_words
-	$(BIN)/codespell $(SPELLED)
+	$(BIN)/codespell CHANGELOG.md Makefile README.md bench config csrc docs examples hapticd packaging pyproject.toml systemd
 	@echo $(BIN)/clang-format --dry-run -Werror; $(BIN)/clang-format --dry-run -Werror $(C_FILES)
 
 # Builds the extension as users do, then every C file with all warnings. clang also proves that functions marked HD_RT never

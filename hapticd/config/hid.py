@@ -52,8 +52,7 @@ class HandleAxes(Model):
 
     x: HandleAxis = Field(default=HandleAxis(usage="X"), description="The axis to the right.")
     y: HandleAxis = Field(
-        default=HandleAxis(usage="Y", sign=-1),
-        description="The axis away from the user; HID's Y grows towards the user.",
+        default=HandleAxis(usage="Y", sign=-1), description="The axis away from the user; HID's Y is opposite."
     )
 
 
@@ -224,8 +223,7 @@ class Hid(Model):
     )
     renew_s: float = Field(default=0.04, ge=0.005, le=5, description="Interval at which effects are started again.")
     max_rate_hz: Annotated[float, Field(ge=10, le=10000)] | None = Field(
-        default=None,
-        description="Maximum number of forces per second, each in one or more reports; null: that of the link.",
+        default=None, description="Maximum rate of forces, each in one or more reports; null: that of the link."
     )
     offload: Literal["off", "auto"] = Field(
         default="off",
@@ -269,7 +267,5 @@ class Replay(Model):
     """A recording of a device (`hapticd devices dump`), which is replayed in place of the device."""
 
     path: Annotated[str, Field(min_length=1, max_length=4096)] = Field(description="The recording.")
-    loop: bool = Field(
-        default=False, description="Start again at the end of the recording; otherwise the device is lost there."
-    )
+    loop: bool = Field(default=False, description="Start again at the recording's end; otherwise the device is lost.")
     speed: float = Field(default=1.0, ge=0.01, le=100, description="Speed of the replay, relative to the recording.")

@@ -280,8 +280,7 @@ class ProvenanceFile(Model):
         description="Path of the recording at the time of the fit."
     )
     sha256: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")] | None = Field(
-        default=None,
-        description="Hash of the file's bytes, in hex digits; left out for data that was not read from a file.",
+        default=None, description="Hash of the file, in hex digits; left out for data that was not read from a file."
     )
 
 
@@ -314,8 +313,7 @@ class Provenance(Model):
         default=None, description="Verdict of each fit, by its kind: tap, grooves, texture, puncture."
     )
     choices: Annotated[dict[Words, Reason], Field(max_length=64)] | None = Field(
-        default=None,
-        description="Model that was chosen among several, and the reason, by the name of the fitted value.",
+        default=None, description="Model chosen among several, and the reason, by the name of the fitted value."
     )
 
 
@@ -335,9 +333,7 @@ class Material(Model):
     rupture: Rupture | None = Field(
         default=None, description="Rupture of a membrane; without it a membrane never ruptures."
     )
-    friction: Friction | None = Field(
-        default=None, description="Coulomb friction; without it the surface has no friction."
-    )
+    friction: Friction | None = Field(default=None, description="Coulomb friction; without it there is no friction.")
     # Defined after `tap`, whose mode grooves may use.
     texture: Texture | None = Field(
         default=None, description="Texture under a stroke; without it the surface is smooth."

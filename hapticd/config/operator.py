@@ -253,7 +253,7 @@ def parse_operator(data: Mapping[str, object]) -> Operator:
 def load_operator(path: str | os.PathLike[str]) -> Operator:
     """Load an operator (motion of the simulated hand) from a file: CSV or JSON by its ending, YAML otherwise.
 
-    A CSV file may have a header line; its waypoints are joined by straight lines.
+    A CSV file has the columns t_s,x_m,y_m, with or without a header line; waypoints are joined by straight lines.
     Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be read.
     """
     name = os.fspath(path)
@@ -311,7 +311,7 @@ class _Path:
         self._at, self._height = x * n_y - y * n_x, x * n_x + y * n_y
 
     def go(self, at: float, height: float, speed: float) -> None:
-        """Move the hand in a straight line to `at` along the surface and `height` above it."""
+        """Move the hand in a straight line, at `speed`, to `at` along the surface and `height` above it."""
         distance = math.hypot(at - self._at, height - self._height)
         self._at, self._height = at, height
         if distance >= 2 * MIN_STEP_S * speed:

@@ -134,10 +134,7 @@ class Wall(Model):
     material: Name = Field(description="Name of a material.")
     patches: Patches = Field(default=(), description="Sections with other materials, which do not overlap.")
     patch_ramp_m: float = Field(
-        default=0.001,
-        ge=1e-5,
-        le=1,
-        description="Width of the blend between two materials, centred on the edge between them.",
+        default=0.001, ge=1e-5, le=1, description="Width of the blend between two materials, centred on the edge."
     )
 
     def stretches(self) -> tuple[list[float], list[str]]:
@@ -269,10 +266,7 @@ def used_materials(objects: Iterable[SceneObject]) -> set[str]:
 
 
 def of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:
-    """Return a small selection of objects that together use all materials of `objects`.
-
-    It has the objects with several materials, and the first object of each other material.
-    """
+    """Return objects with all materials: those with several materials, and the first of each other material."""
     selected: dict[str, SceneObject] = {}
     seen: set[str] = set()
     for id, item in objects.items():

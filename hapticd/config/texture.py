@@ -317,9 +317,7 @@ class Autoregressive(CheckedTogether):
     kind: Literal["autoregressive"] = Field(description="Kind of the texture.")
     rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate of the recordings.")
     models: Annotated[tuple[AutoregressiveModel, ...], Strict(False), at_most(MAX_MODELS)] = Field(
-        min_length=1,
-        max_length=MAX_MODELS,
-        description="Models, each at a different speed and force, on a grid or scattered.",
+        min_length=1, max_length=MAX_MODELS, description="Models at distinct speeds and forces, on a grid or scattered."
     )
     threshold_m_per_s: Threshold = Field(
         default=0.002, description="Tangential speed below which the noise fades; at rest it is silent."

@@ -110,10 +110,8 @@ def _tls(cert: str, key: str) -> tuple[ssl.SSLContext, list[str]]:
         # The empty password makes an encrypted key fail instead of prompting on the terminal.
         server.load_cert_chain(cert, key, password="")
     except ssl.SSLError as error:
-        what = "the key belongs to another certificate" if "MISMATCH" in (error.reason or "") else error.reason or error
-        raise HapticdError(
-            f"--tls-cert {printable(cert)}, --tls-key {printable(key)}: cannot be used: {what}"
-        ) from None
+        why = "the key belongs to another certificate" if "MISMATCH" in (error.reason or "") else error.reason or error
+        raise HapticdError(f"--tls-cert {printable(cert)}, --tls-key {printable(key)}: cannot be used: {why}") from None
     return server, _names_in(cert, server)
 
 

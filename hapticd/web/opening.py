@@ -41,7 +41,7 @@ async def open_in_browser(addresses: Sequence[str]) -> None:
 
 
 async def _opened(uri: str) -> bool:
-    """Open a browser in a separate process, which hides its output, and return whether a browser was opened."""
+    """Open a browser in a process that neither prints nor blocks this one, and return whether a browser was opened."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-c", _OPENER_SCRIPT, uri),
         stdin=subprocess.DEVNULL,

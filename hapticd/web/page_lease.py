@@ -1,7 +1,6 @@
 """The lease of a page: only a page with a lease can turn forces on, and forces fade when the lease is not renewed.
 
-The daemon watches the time, not this process: a page that closes, freezes or loses its network does not renew its
-lease.
+The daemon watches the time, not this process: a page that closes, freezes or loses its network cannot renew its lease.
 """
 
 from __future__ import annotations

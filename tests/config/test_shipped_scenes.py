@@ -117,7 +117,7 @@ def test_the_combs() -> None:
     assert position[loud, 0].max() < -0.015
     for way in (1, -1):
         shaped = force[sliding(run, -0.015, 0.015, way)]
-        assert beginnings(shaped > 0.1) == beginnings(shaped < -0.1) == 7  # grooves k = -3 to 3
+        assert beginnings(shaped > 0.1) == beginnings(shaped < -0.1) == 7  # k = -3 to 3: pulls in, then holds
         dragged = way * force[sliding(run, 0.016, 0.0395, way)]
         assert beginnings(dragged < -0.1) == 5  # k = 4 to 8
         assert dragged.max() < 0.01

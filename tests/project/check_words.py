@@ -1,4 +1,4 @@
-"""Check the wording of code and pages: `python -m tests.project.check_words [PATH ...]` prints each place to mend.
+"""Check the wording of code and pages: `python -m tests.project.check_words [FILE ...]` prints each place to mend.
 
 A place is an expression of the table "Words to avoid" (docs/contributing.md) in a comment, a docstring, a text of
 several words or a page, or a module constant of one word, which says neither quantity nor unit.
@@ -17,7 +17,6 @@ from typing import Final, NamedTuple
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 GUIDE: Final = ROOT / "docs" / "contributing.md"
-TABLE_HEADING: Final = "### Words to avoid"
 
 CHECKED_FILES: Final = ("README.md", "csrc/**/*.[ch]", "docs/**/*.md", "hapticd/**/*.js", "hapticd/**/*.py")
 UNCHECKED_PATHS: Final = (GUIDE, ROOT / "docs" / "adr", ROOT / "hapticd" / "web" / "static" / "vendor")
@@ -39,29 +38,25 @@ def avoided_words(guide: str) -> list[tuple[re.Pattern[str], str]]:
 
     Returns pairs of a pattern, which ignores case, and the words to write.
     """
-    table = guide.partition(f"{TABLE_HEADING}\n")[2].partition("\n#")[0]
+    table = guide.partition("### Words to avoid\n")[2].partition("\n#")[0]
     rows = [(cell.replace(r"\|", "|"), advice) for cell, advice in re.findall(r"^\| `(.+?)` \| (.+?) \|$", table, re.M)]
     return [(re.compile(rf"(?<![\w.`-])(?:{pattern})(?![\w`-])", re.I), advice) for pattern, advice in rows]
-
-
-def _blanked(pattern: str, text: str) -> str:
-    """Replace each match by a space and its line breaks, so that line numbers stay."""
-    return re.sub(pattern, lambda match: " " + "\n" * match.group().count("\n"), text, flags=re.S | re.M)
 
 
 def _prose(text: str, suffix: str) -> Iterator[tuple[int, str]]:
     """Yield the parts of a file that people read, each with the number of its first line."""
     if suffix == ".md":
-        # Without fenced and indented blocks, comments, and code in a line.
-        yield 1, _blanked(r"^```.*?^```|^(?: {4}[^\n]*\n)+|<!--.*?-->|`[^`]*`", text)
-    elif suffix in (".c", ".h", ".js"):
-        for comment in re.finditer(r"/\*.*?\*/|(?<!:)//[^\n]*", text, re.S):
-            yield 1 + text.count("\n", 0, comment.start()), comment.group()
-    else:
+        # Blocks, comments and code are replaced by a space and their line breaks, so that line numbers stay.
+        unread = re.compile(r"^```.*?^```|^(?: {4}[^\n]*\n)+|<!--.*?-->|`[^`]*`", re.S | re.M)
+        yield 1, unread.sub(lambda match: " " + "\n" * match.group().count("\n"), text)
+    elif suffix == ".py":
         for token in tokenize.generate_tokens(io.StringIO(text).readline):
             is_text = token.type == tokenize.STRING or token.type == getattr(tokenize, "FSTRING_MIDDLE", -1)
             if token.type == tokenize.COMMENT or (is_text and " " in token.string.strip("\"' ")):
                 yield token.start[0], token.string
+    else:
+        for comment in re.finditer(r"/\*.*?\*/|//[^\n]*", text, re.S):
+            yield 1 + text.count("\n", 0, comment.start()), comment.group()
 
 
 def _one_word_constants(source: str) -> Iterator[Finding]:
@@ -83,10 +78,8 @@ def findings(source: str, words: list[tuple[re.Pattern[str], str]], suffix: str 
 
 
 def _checked_files(paths: list[str]) -> list[Path]:
-    files = (file for pattern in CHECKED_FILES for file in ROOT.glob(pattern))
-    checked = (file for file in files if not any(map(file.is_relative_to, UNCHECKED_PATHS)))
-    wanted = [ROOT / path for path in paths] or [ROOT]
-    return sorted(file for file in checked if any(map(file.is_relative_to, wanted)))
+    files = [ROOT / path for path in paths] or [file for pattern in CHECKED_FILES for file in ROOT.glob(pattern)]
+    return sorted(file for file in files if not any(map(file.is_relative_to, UNCHECKED_PATHS)))
 
 
 def main(paths: list[str]) -> int:

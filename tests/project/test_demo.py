@@ -316,9 +316,7 @@ def test_the_demo_of_a_complete_recording_ends_with_0(run_demo: RunDemo) -> None
 
 
 @pytest.mark.long
-def test_a_demo_without_measurements_reports_it_in_one_line_and_ends_with_0(
-    run_demo: RunDemo,
-) -> None:
+def test_a_demo_without_measurements_reports_it_in_one_line_and_ends_with_0(run_demo: RunDemo) -> None:
     code, output = run_demo(Machine(none_complete))
     (line,) = [line for line in output.splitlines() if line.startswith("not enough seen")]
     assert code == 0 and "wrong" not in output

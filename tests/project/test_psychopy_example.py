@@ -45,7 +45,7 @@ class Screen:
 
     @property
     def changes(self) -> list[str]:
-        """Return the shown pictures, without repetitions."""
+        """Return the shown pictures in order, each once however many frames showed it."""
         return [now for before, now in zip(["", *self.frames], self.frames, strict=False) if now != before]
 
 

@@ -124,7 +124,7 @@ def test_the_site_has_all_commands_and_methods(site: Path) -> None:
     assert all(f'id="{name}"' in commands for name in page_names())
     assert "Sentinel" not in commands
     python = (site / "reference" / "python.html").read_text()
-    assert "Replace the scene" in python
+    assert "that was rendered with the new scene" in python
 
 
 @pytest.mark.slow

@@ -87,7 +87,7 @@ export class PitchReader {
     this.#grains.push(new Grain(begin, 0));
   }
 
-  // Returns how many samples before `latest` the grain begins that is maxLag similar to the samples from `next` on.
+  // Returns how many samples before `latest` the grain begins that is most similar to the samples from `next` on.
   #lagOf(buffer, next, latest, overlap) {
     const { x, y } = buffer;
     const every = Math.max(1, Math.floor(overlap / COMPARED_PLACES));

@@ -36,7 +36,7 @@ export function clearance([x, y], object) {
   }
 }
 
-// Returns a point with enough space around it, or else with most space; of equal points that nearest to the middle.
+// Returns a point with enough space around it, or else the one with the most; of equal points the nearest to the middle.
 export function roomiest(objects, handle) {
   const solids = Object.values(objects);
   const free = (point) => Math.min(SUFFICIENT_DISTANCE_M, Math.hypot(point[0] - handle[0], point[1] - handle[1]) - HANDLE_CLEARANCE_M, ...solids.map((object) => clearance(point, object)));

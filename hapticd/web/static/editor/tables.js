@@ -5,6 +5,7 @@ import { button, fill, make, svg } from "../dom.js";
 import { fieldFrame } from "./field_frame.js";
 import { withWarnings } from "./fields.js";
 import { NOT_A_NUMBER_TEXT, format, parse, shownUnit } from "./numbers.js";
+import { rounded } from "./placement.js";
 
 // `table(value)` returns {head: [text or cell], rows: [[cell]], add, columns: buttons as [text, function],
 // remove: {min, of}}. `remove.of(row)` removes a row if the table has more than `min` rows. A cell is {name, unit, value,
@@ -196,11 +197,11 @@ export function patches(list, names) {
   };
 }
 
-// Returns a new patch next to the last one, as wide as the existing ones.
+// Returns a new patch of 20 mm, 5 mm beyond the last one.
 export function newPatch(list, names) {
   const from = list.length ? Math.max(...list.map((patch) => patch.to_m)) : -0.01;
-  const start = Number((list.length ? from + 0.005 : from).toFixed(6));
-  return { from_m: start, to_m: Number((start + 0.02).toFixed(6)), material: names[0] };
+  const start = rounded(list.length ? from + 0.005 : from);
+  return { from_m: start, to_m: rounded(start + 0.02), material: names[0] };
 }
 
 // Makes a field for a list of numbers, as text with spaces or commas. `picture`: whether their curve is drawn.

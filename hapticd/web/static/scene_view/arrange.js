@@ -6,13 +6,6 @@ import { dragged, gripsOf, isMovable, isTurnable, moved, turned } from "./grips.
 const GRIP_REACH_PX = 13;
 const PICK_REACH_PX = 8;
 
-const KINDS = {
-  wall: "wall", box: "box", disc: "disc", membrane: "membrane", spring: "spring field", viscous: "viscous field",
-  constant: "constant field",
-};
-
-export const kindName = (object) => KINDS[object.kind] ?? object.kind;
-
 // Event: `selected`, when another object or none is selected.
 export class Arrange extends EventTarget {
   selected = null; // an id

@@ -157,8 +157,8 @@ export function extentOf(objects, also, margin) {
       points.push(frame.point, ...patches.flatMap((p) => [global(frame, [p.from_m, 0]), global(frame, [p.to_m, 0])]));
     }
   }
-  const low = [0, 1].map((axis) => points.reduce((low, p) => Math.min(low, p[axis]), Infinity) - margin);
-  const high = [0, 1].map((axis) => points.reduce((high, p) => Math.max(high, p[axis]), -Infinity) + margin);
+  const low = [0, 1].map((axis) => points.reduce((least, p) => Math.min(least, p[axis]), Infinity) - margin);
+  const high = [0, 1].map((axis) => points.reduce((largest, p) => Math.max(largest, p[axis]), -Infinity) + margin);
   return [...low, ...high];
 }
 
