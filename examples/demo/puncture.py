@@ -89,9 +89,9 @@ def table(torn: Torn, material: Material, marks: Marks) -> Table:
     before, after, past, travelled = (
         float(each[-1]) for each in (torn.force_before_n, torn.force_after_n, torn.past_m, torn.travelled_m)
     )
-    rows.add_row("force before, and from the tick of rupture on", f"{before:.3f} N, {after:g} N")
+    rows.add_row("force before the rupture, and from its tick on", f"{before:.3f} N, {after:g} N")
     rows.add_row(
-        "past the rupture deflection", f"{1e6 * past:.0f} um, of {1e6 * travelled:.0f} um travelled in that tick"
+        "beyond the rupture deflection", f"{1e6 * past:.0f} um, of {1e6 * travelled:.0f} um travelled in that tick"
     )
     for what, measured, wanted, unit in (
         ("amplitude", float(torn.amplitude[-1]), rupture.amplitude_m_per_s2, "m/s^2"),

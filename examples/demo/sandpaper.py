@@ -149,7 +149,7 @@ def table(found: Sanding, material: Material, rate_hz: float, marks: Marks) -> T
         seconds = float(found.ticks[here].sum()) / rate_hz
         row(what, over * wanted, wanted, 0.5 / float(np.sqrt(seconds * bandwidth_hz)), digits)
 
-    rows.add_row("strokes of which enough was seen", f"{found.count}", f"{MIN_STROKES}", "", "")
+    rows.add_row("strokes with enough samples", f"{found.count}", f"{MIN_STROKES}", "", "")
     if found.count < MIN_STROKES:
         return rows
     for number in range(len(STROKES)):
