@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import starmap
 from pathlib import Path
 
 from hapticd.base import wording
@@ -79,7 +78,7 @@ def analysis_of(behaviour: Behaviour) -> Analysis:
     used = answered or [row for row in tested if any(row.get(name) is not None for name in MEASURE_COLUMNS)]
     if not used:
         raise HapticdError(
-            f"nothing to analyze: none of the {len(behaviour.rows)} trials belongs to the test and has an answer"
+            f"nothing to analyze: none of the {len(behaviour.rows):,} trials belongs to the test and has an answer"
         )
     published = published_results(facts.published) if facts.published else PublishedResults()
     places = {name: place for place, name in enumerate(facts.conditions)}
@@ -87,10 +86,10 @@ def analysis_of(behaviour: Behaviour) -> Analysis:
     sections = _sections(tested, used, behaviour, published)
     people = len({row["participant"] for row in used})
     left = len(tested) - len(used)
-    counts = (people, "participant"), (len(behaviour.files), "session"), (len(used), "trial")
     summary = (
-        f"{', '.join(starmap(wording.count, counts))} of the test; {len(behaviour.rows) - len(tested)} of practice or "
-        f"training and {left} without an answer are left out"
+        f"{wording.count(people, 'participant')}, {wording.count(len(behaviour.files), 'session')}, "
+        f"{wording.count(len(used), 'trial')} of the test; {len(behaviour.rows) - len(tested):,} of practice or "
+        f"training and {left:,} without an answer are left out"
     )
     compared = any(section.compares_published for section in sections)
     if facts.published and not compared:

@@ -60,13 +60,12 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
             continue
         found = quartiles([100.0 * sum(each) / len(each) for each in right.values()])
         pooled = [each for answers in right.values() for each in answers]
-        pooled_cells = _percent_cells(sum(pooled), len(pooled), facts.chance)
+        trials, _, *percent = _percent_cells(sum(pooled), len(pooled), facts.chance)
         test = proportion(sum(pooled), len(pooled), facts.chance)
         in_paper = published.quartiles.get(condition)
         own_quartiles = found.median, found.low, found.high
         paper_cells = (in_paper or (None,) * 3) if published.quartiles else ()
-        pooled_cells = *pooled_cells[:1], *pooled_cells[2:], test.p_value
-        listed.append((condition, found.participants, *own_quartiles, *paper_cells, *pooled_cells))
+        listed.append((condition, found.participants, *own_quartiles, *paper_cells, trials, *percent, test.p_value))
         labels.append(condition)
         ours.append(own_quartiles)
         theirs.append(in_paper or (np.nan,) * 3)

@@ -13,9 +13,11 @@ from typing import Final
 
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text
 from hapticd.base.merge_patch import merge_patch
-from hapticd.base.yaml_source import Json
+from hapticd.base.yaml_source import Document, Json
 from hapticd.config.materials import shipped_materials
 
+BASE_KEY: Final = "base"
+"""Key of a study or a sweep with the configuration that it changes, or with the name of a file that contains it."""
 _PATH_ELEMENT: Final = re.compile(r"([^.\[\]]+)((?:\[[0-9]{1,5}\])*)")
 """A key that may be followed by indices, such as patches[0]."""
 
@@ -32,6 +34,16 @@ def path_of(text: str) -> Path:
             raise ValueError("must be keys separated by dots, such as materials.wood.tap.frequency_hz")
         found += [match[1], *(int(index) for index in re.findall(r"[0-9]+", match[2]))]
     return tuple(found)
+
+
+def invalid_in(document: Document, base: Document | None, faults: Iterable[tuple[Path, str]]) -> InvalidError:
+    """Return an error with file and line of each fault, which is in a study or sweep, or in its base file, if any."""
+    return InvalidError(
+        base.problem(path[1:], text)
+        if base is not None and path[:1] == (BASE_KEY,) and len(path) > 1
+        else document.problem(path, text)
+        for path, text in faults
+    )
 
 
 @cache

@@ -68,7 +68,7 @@ def encoded(record: Mapping[str, Json], crc: int) -> tuple[bytes, int]:
 def decoded(data: bytes, name: str) -> Contents:
     """Decode `data`, the content of a log. `name` is its file name, for errors.
 
-    Raises HapticdError for a damaged line before the last one.
+    Raises HapticdError, with the line's number, for a damaged line before the last one.
     """
     records: list[Record] = []
     crc, at = 0, 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path as FilePath
-from typing import Final
 
 from pydantic import ValidationError
 
@@ -16,13 +15,10 @@ from hapticd.config.document_kinds import kind_of, refuse_other_kinds
 from hapticd.config.shipped_files import file_of
 from hapticd.experiment.display_faults import display_faults
 from hapticd.experiment.faults import Fault, faults_between
-from hapticd.experiment.key_paths import expanded
+from hapticd.experiment.key_paths import BASE_KEY, expanded, invalid_in
 from hapticd.experiment.keys import Study
 
 __all__ = ["Study", "load_study", "study_of"]
-
-_BASE_KEY: Final = "base"
-"""Key of a study that may name another file, with scene and materials."""
 
 
 def load_study(path_or_name: str | os.PathLike[str]) -> Study:
@@ -57,45 +53,32 @@ def study_of_document(document: Document) -> Study:
     try:
         study = Study.parsed(given)
     except ValidationError as error:
-        raise _invalid(document, faults_of(error), base) from None
+        raise invalid_in(document, base, faults_of(error)) from None
     faults = faults_between(study) or display_faults(study)
     if faults:
-        raise _invalid(document, faults, base)
+        raise invalid_in(document, base, faults)
     return study
-
-
-def _invalid(document: Document, faults: list[Fault], base: Document | None) -> InvalidError:
-    """Return an error with file and line of each fault, which is in the study or in its base file."""
-    if base is None:
-        return InvalidError(document.problem(path, text) for path, text in faults)
-    return InvalidError(
-        base.problem(path[1:], text) if path[:1] == (_BASE_KEY,) and len(path) > 1 else document.problem(path, text)
-        for path, text in faults
-    )
 
 
 def _with_base(document: Document, data: dict[str, Json]) -> tuple[dict[str, Json], Document | None]:
     """Return a study's data with a base file's name replaced by its content, and the base file or None."""
-    given = data.get(_BASE_KEY)
+    given = data.get(BASE_KEY)
     source: Document | None = None
     if isinstance(given, str):
         source = _base_file(document, given)
         given = source.data
     if not isinstance(given, dict):
-        if given is None and _BASE_KEY not in data:
+        if given is None and BASE_KEY not in data:
             given = {}
         else:
             text = f"must be scene and materials, or the name of a file or of a shipped scene, is {shown(given)}"
-            raise InvalidError([document.problem((_BASE_KEY,), text)])
+            raise InvalidError([document.problem((BASE_KEY,), text)])
     try:
         base = expanded(given)
     except InvalidError as error:
-        root: Path = () if source else (_BASE_KEY,)
-        place = (source or document).problem
-        raise InvalidError(
-            place((*root, *_path(problem.where)), problem.problem) for problem in error.problems
-        ) from None
-    return {**data, _BASE_KEY: base}, source
+        base_faults: list[Fault] = [((BASE_KEY, *_path(each.where)), each.problem) for each in error.problems]
+        raise invalid_in(document, source, base_faults) from None
+    return {**data, BASE_KEY: base}, source
 
 
 def _path(where: str) -> Path:

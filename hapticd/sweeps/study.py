@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Final
 
@@ -17,7 +17,7 @@ from hapticd.config.configuration import Config, load_config
 from hapticd.config.document_kinds import kind_of, refuse_other_kinds
 from hapticd.config.operator import Operator, load_operator, parse_operator
 from hapticd.config.shipped_files import file_of
-from hapticd.experiment.key_paths import expanded, path_of, with_value
+from hapticd.experiment.key_paths import BASE_KEY, expanded, invalid_in, path_of, with_value
 from hapticd.sweeps.axes import Axis
 from hapticd.sweeps.columns import Value
 from hapticd.sweeps.figure_faults import figure_faults
@@ -27,26 +27,8 @@ from hapticd.sweeps.measures.user_function import FUNCTION_MEASURE, with_source
 from hapticd.sweeps.plan import Job, Plan, plan
 from hapticd.sweeps.point import NON_CONFIG_KEYS, OPERATOR_KEY, PARAMETERS_KEY
 
-_BASE_KEY: Final = "base"
-"""Key of the base configuration in a study."""
 _MAX_CHECKED_VALUES: Final = 200
 """Only the first 200 values of an axis are validated before the study begins; the others when they are used."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Source:
-    """The YAML document of a study, and the document of its base configuration if the base is a separate file."""
-
-    study: Document
-    base: Document | None
-
-    def invalid(self, faults: list[tuple[Path, str]]) -> InvalidError:
-        return InvalidError(
-            self.base.problem(path[1:], text)
-            if self.base is not None and path[:1] == (_BASE_KEY,) and len(path) > 1
-            else self.study.problem(path, text)
-            for path, text in faults
-        )
 
 
 def load_sweep(source: Mapping[str, object] | str | os.PathLike[str]) -> Plan:
@@ -74,22 +56,22 @@ def _load(document: Document, folder: str) -> Plan:
     base = _with_base(document, data, folder)
     _with_operator(document, data, folder)
     _with_functions(document, data, folder)
-    source = _Source(document, base)
     try:
         study = SweepStudy.parsed(data)
     except ValidationError as error:
-        raise source.invalid(faults_of(error)) from None
+        raise invalid_in(document, base, faults_of(error)) from None
     faults = [*_measure_faults(study), *_key_faults(study)]
     if faults:
-        raise source.invalid(faults)
+        raise invalid_in(document, base, faults)
     try:
         found = plan(study)
     except InvalidError as error:
-        raise source.invalid([(tuple(each.where.split(".")), each.problem) for each in error.problems]) from None
+        faults = [(tuple(each.where.split(".")), each.problem) for each in error.problems]
+        raise invalid_in(document, base, faults) from None
     faults = [*_value_faults(found.job, found.axes), *_column_faults(found)]
     faults += figure_faults(study, found.columns, found.axes)
     if faults:
-        raise source.invalid(faults)
+        raise invalid_in(document, base, faults)
     return found
 
 
@@ -98,7 +80,7 @@ def _load(document: Document, folder: str) -> Plan:
 
 def _with_base(document: Document, data: dict[str, Json], folder: str) -> Document | None:
     """Replace a named base by its configuration; return the YAML document of the base, or None without a file."""
-    given = data.get(_BASE_KEY, {})
+    given = data.get(BASE_KEY, {})
     source: Document | None = None
     if isinstance(given, str):
         source = _file(given, folder, "scenes")
@@ -108,14 +90,14 @@ def _with_base(document: Document, data: dict[str, Json], folder: str) -> Docume
         given = source.data
     if not isinstance(given, dict):
         text = f"must be a configuration, or the name of a file or of a shipped scene, is {shown(given)}"
-        raise InvalidError([document.problem((_BASE_KEY,), text)])
+        raise InvalidError([document.problem((BASE_KEY,), text)])
     try:
-        data[_BASE_KEY] = expanded(given)
+        data[BASE_KEY] = expanded(given)
     except InvalidError as error:
         faults: list[tuple[Path, str]] = [
-            ((_BASE_KEY, *each.where.split(".", 1)), each.problem) for each in error.problems
+            ((BASE_KEY, *each.where.split(".", 1)), each.problem) for each in error.problems
         ]
-        raise _Source(document, source).invalid(faults) from None
+        raise invalid_in(document, source, faults) from None
     return source
 
 
@@ -265,7 +247,7 @@ def _faults_with(job: Job, values: Sequence[Value], name: str) -> list[tuple[Pat
         elif name:
             found.append((("vary", name), f"{'.'.join(map(str, path))}: {text}" if path else text))
         else:
-            found.append(((path if path[:1] == (OPERATOR_KEY,) else (_BASE_KEY, *path)), text))
+            found.append(((path if path[:1] == (OPERATOR_KEY,) else (BASE_KEY, *path)), text))
     return found
 
 

@@ -148,7 +148,7 @@ class Script:
     """Both pages: the participant answers each question once, the experimenter lets every trial begin."""
 
     def __init__(self, max_answers: int | None = None) -> None:
-        """Prepare both pages. After `most` answers the participant presses the stop."""
+        """Prepare both pages. After `max_answers` answers the participant presses the stop."""
         self.max_answers = max_answers
         self.answers = 0
         self.screens: list[dict[str, Any]] = []

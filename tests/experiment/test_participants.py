@@ -13,7 +13,6 @@ import pytest
 
 from hapticd.base.core import SAMPLE_DTYPE, Flag
 from hapticd.experiment.front import Choice, Command, Seen, Shown, Watched
-from hapticd.experiment.keys import POSITION_MEANINGS
 from hapticd.experiment.offline_stage import OfflineStage
 from hapticd.experiment.participants.hand import Hand
 from hapticd.experiment.participants.observer import Observer, ObserverParameters, fineness, hardness
@@ -213,9 +212,7 @@ def test_an_observer_learns_from_feedback_and_guesses_before() -> None:
     for value, name in ((1.0, "a"), (2.0, "b"), (3.0, "c"), (1.2, "a")):
         observer.learn(value, name)
     assert [observer.identify(value, answers) for value in (0.9, 2.2, 5.0)] == ["a", "b", "c"]
-    assert observer.rank([0.1, 3.0, 2.0]) == ">".join(
-        (POSITION_MEANINGS[1], POSITION_MEANINGS[2], POSITION_MEANINGS[0])
-    )
+    assert observer.rank([0.1, 3.0, 2.0]) == "second>third>first"
 
 
 def test_a_puncture_is_reacted_to_after_it_was_felt() -> None:

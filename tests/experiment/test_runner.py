@@ -31,7 +31,7 @@ SESSION = Path("sub-P07/ses-01")
 
 
 def _config(folder: Path) -> Path:
-    """Return a servo that needs no real-time rights, and whose missed periods are not reported."""
+    """Write the configuration of a servo that needs no real-time rights, and whose missed periods are not reported."""
     path = folder / "servo.yaml"
     path.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
     return path

@@ -74,7 +74,7 @@ def confusion(shown: Sequence[str], answered: Sequence[str], order: Sequence[str
 def information(counts: npt.ArrayLike) -> Information:
     """Return the information transfer, from the counts (stimuli, answers) of a confusion matrix.
 
-    Raises FitError for invalid counts.
+    Raises FitError for negative counts, or without counts.
     """
     table = np.asarray(counts, dtype=float)
     total = table.sum()

@@ -29,7 +29,7 @@ TREMOR_BAND_HZ: Final = (8.0, 12.0)
 
 @dataclass(frozen=True, slots=True)
 class HandParameters:
-    """Parameters of the motions of a hand. Speeds, depths and reaction times are medians of lognormal distributions."""
+    """Parameters of a hand's motions, chosen for hapticd. Speeds, depths and reaction times are lognormal medians."""
 
     tap_speed_m_per_s: float = 0.12
     stroke_speed_m_per_s: float = 0.06

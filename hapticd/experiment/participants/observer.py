@@ -52,7 +52,8 @@ class ObserverParameters:
     """Noise and criterion of an observer, which limit how well the observer distinguishes stimuli.
 
     They maximize the likelihood of six cells in Table 2 of Okamura, Dennerlein and Howe (ICRA 1998): pairs of the soft
-    materials wood, acrylic and delrin with force and vibration. No other value of the paper was used.
+    materials wood, acrylic and delrin with force and vibration, given the hardness that a simulated hand feels in them.
+    No other value of the paper was used.
     """
 
     noise: float = 0.41
