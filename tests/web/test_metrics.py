@@ -32,10 +32,10 @@ def figures(address: str) -> Figures:
 
 
 def address_in(log: Path) -> str:
-    """Return the address of the metrics from the log."""
-    match = re.search(r"metrics at (http://127\.0\.0\.1:\d+/metrics)", log.read_text())
-    assert match is not None, log.read_text()
-    return match[1]
+    """Return the address of the metrics from the log, which a separate thread of the process writes."""
+    line = re.compile(r"metrics at (http://127\.0\.0\.1:\d+/metrics)")
+    until(lambda: line.search(log.read_text()) is not None)
+    return line.findall(log.read_text())[0]
 
 
 def test_figures_are_those_of_the_status(tmp_path: Path) -> None:
