@@ -85,6 +85,9 @@ enum hd_texture {
 #define HD_TUNE_POINTS 16   /* largest number of points of a frequency over speed or over force */
 #define HD_TUNE_NODES 64    /* largest number of nodes of a compensation */
 #define HD_TUNE_NODE 11     /* length of a node, in numbers */
+#define HD_KEPT_TAIL 5      /* numbers of the second tail of compensated taps */
+#define HD_KEPT_GAINS 8     /* numbers of the gains of one of their modes */
+#define HD_KEPT_POINTS 256  /* largest number of times at which the depth of a tap is judged */
 #define HD_WAVE_SAMPLES 512 /* largest number of samples of a waveform */
 #define HD_WAVE_PARTS 8     /* parts of a waveform, see hd_waveform.h */
 
@@ -109,6 +112,10 @@ struct hd_material {
     uint32_t mode_by_peak; /* 1: the amplitude of a tap is its first peak; 0: the coefficient A */
     uint32_t wave_count;   /* samples of the tap's waveform, 3 to HD_WAVE_SAMPLES, see hd_waveform.h; 0: it is a mode */
     uint32_t wave_first;   /* index in the table's numbers */
+    uint32_t kept_count;   /* times at which the depth of a compensated tap is judged, 2 to HD_KEPT_POINTS, see
+                              hd_table_numbers.h; 0: the tap has no second tail, and its compensation is never reduced */
+    uint32_t kept_first;   /* index in the table's numbers */
+    double kept_step_s;    /* distance between these times, above 0; the first is at the onset plus this */
     double stiffness_n_per_m;
     double damping_n_s_per_m;
     double rupture_depth_m;            /* membranes; 0: never ruptures */

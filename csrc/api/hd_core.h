@@ -17,7 +17,7 @@
 
 static_assert(sizeof(struct hd_sample) == 112, "the telemetry record is 112 bytes without padding");
 static_assert(sizeof(struct hd_object) == 80 && sizeof(struct hd_mode) == 360 && sizeof(struct hd_piece) == 24 &&
-                  sizeof(struct hd_material) == 64 + 17 * 8 + 4 * sizeof(struct hd_mode) &&
+                  sizeof(struct hd_material) == 72 + 18 * 8 + 4 * sizeof(struct hd_mode) &&
                   sizeof(struct hd_noise) == 32 + 8 + 4 * 8,
               "table records have no padding");
 

@@ -295,9 +295,34 @@ static int wave_check(const struct hd_material *material, const struct hd_table 
     return HD_OK;
 }
 
+static int kept_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+    const uint32_t points = material->kept_count;
+    if (points == 0) {
+        return HD_OK;
+    }
+    if (points < 2 || points > HD_KEPT_POINTS || !hd_check_between(material->kept_step_s, HD_SMALLEST, HD_LARGEST)) {
+        return hd_invalid("material %u: depths of its tap are judged at %u times, %g s apart; there must be 2 to %u, "
+                          "and the distance above 0",
+                          index, points, material->kept_step_s, HD_KEPT_POINTS);
+    }
+    const size_t count = hd_kept_size(points);
+    if (material->kept_first > table->number_count || count > table->number_count - material->kept_first) {
+        return hd_invalid("material %u: %zu numbers of its compensated tap, from number %u on, do not fit into "
+                          "%u",
+                          index, count, material->kept_first, table->number_count);
+    }
+    const double *tail = table->numbers + material->kept_first;
+    const int sound = is_within(tail, count, -HD_LARGEST) && is_within(tail + HD_KEPT_DECAY_PER_S, 3, 0.0) &&
+                      tail[0] * tail[0] + tail[1] * tail[1] <= 1.0 + 1e-12;
+    if (!sound) {
+        return hd_invalid("material %u: second tail, gains or depths of its compensated tap are out of range", index);
+    }
+    return HD_OK;
+}
+
 int hd_material_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
     if (values_check(material, table->noise_count, index) < 0 || tap_check(material, table, index) < 0 ||
-        tune_check(material, table, index) < 0) {
+        tune_check(material, table, index) < 0 || kept_check(material, table, index) < 0) {
         return HD_ERR_INVALID;
     }
     return wave_check(material, table, index);

@@ -23,11 +23,13 @@ HD_RT void hd_aim_strike(struct hd_state *state, const struct hd_slot *slot, con
         hd_strike_add(state, &part);
         part.units = hd_magnitude(aim[1]) * strike->units;
         part.growth_n = 0.0; /* counted with the first part */
+        part.lifts = 0;
         part.direction[0] = aim[1] > 0.0 ? tangent[0] : -tangent[0];
         part.direction[1] = aim[1] > 0.0 ? tangent[1] : -tangent[1];
         hd_strike_add(state, &part);
         return;
     }
+    strike->lifts = aim[0] != 0.0;
     strike->direction[0] = aim[0] * normal[0] + aim[1] * tangent[0];
     strike->direction[1] = aim[0] * normal[1] + aim[1] * tangent[1];
     hd_strike_add(state, strike);

@@ -11,6 +11,7 @@
  * that is moved far along itself still pulls the hand along, with at most mu F_n. */
 #include "tick/hd_contact.h"
 
+#include "tick/hd_preload.h"
 #include "tick/hd_seam.h"
 #include "tick/hd_surface_noise.h"
 #include "tick/hd_tap.h"
@@ -92,6 +93,9 @@ HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_n
     state->slots[last].active_index = slot->active_index;
     slot->touched = 0;
     slot->disarmed = 1;
+    if (slot->kept) {
+        hd_preload_end(state, index);
+    }
     state->touches++;
     slot->force_n[0] = 0.0;
     slot->force_n[1] = 0.0;

@@ -19,6 +19,7 @@
 #include "tick/hd_contact.h"
 #include "tick/hd_friction.h"
 #include "tick/hd_groove.h"
+#include "tick/hd_preload.h"
 #include "tick/hd_rupture.h"
 #include "tick/hd_seam.h"
 #include "tick/hd_surface.h"
@@ -301,6 +302,9 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         return;
     }
 
+    if (slot->preloaded != 0) {
+        hd_preload_follow(context, index, dominant.material, &travel.point);
+    }
     double pressed_n[2];
     const double normal_n = compute_force(&slot->surface, &travel.point, context->input->velocity_m_per_s,
                                           travel.tangent, lever, &slot->anchor_m, pressed_n);

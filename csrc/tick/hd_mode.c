@@ -1,7 +1,7 @@
 /* Ringing modes, Q(t) = A exp(-B t) sin(w t) for 0 <= t <= 5/B, then exactly zero.
  *
  * A mode that is compensated for the device starts with gain * A instead of A, where gain is a complex number. It can
- * have a tail: a second active mode, struck together with the first, with a separate decay and end.
+ * have a tail, or two: further active modes, struck together with the first, each with a separate decay and end.
  *
  * Each mode is z[k+1] = z[k] exp((-B + i w) T) with the output Im z. This is the closed form of the sampled signal, so
  * the only error is rounding, about k eps after k ticks. z has a component along x and one along y; one rotor turns
@@ -38,6 +38,9 @@ struct component {
 
 /* Returns the member of a slot that starts the chain of its active modes for `use`. */
 HD_RT static uint32_t *first_link(struct hd_slot *slot, uint32_t use) {
+    if (use >= 2u * HD_MODE_USES) {
+        return &slot->preloaded;
+    }
     return use < HD_MODE_USES ? &slot->mode[use] : &slot->tail[use - HD_MODE_USES];
 }
 
@@ -313,40 +316,123 @@ HD_RT static double interpolate(double from, double to, double share) {
     return share == 1.0 ? to : from + share * (to - from);
 }
 
+/* Gains of a component, real and imaginary part. */
+struct gains {
+    double free[2];
+    double touched[2];
+    const double *kept; /* those with which the probe stays in contact; NULL: as `touched` */
+};
+
+/* Strikes a component with a gain between the free one and the one in contact. The difference between kept gains and
+ * those in contact rings as a separate mode, which needs a preload (hd_preload.h). */
+HD_RT static void strike_component(struct hd_state *state, const struct hd_strike *strike, struct component *part,
+                                   const struct gains *gains, double share, const double force_n[2], double period_s) {
+    const double *kept = gains->kept;
+    const double *gain = kept != NULL ? kept : gains->touched;
+    part->gain_re = interpolate(gains->free[0], gain[0], share);
+    part->gain_im = interpolate(gains->free[1], gain[1], share);
+    strike_part(state, strike, part, force_n, period_s);
+    if (kept != NULL) {
+        part->gain_re = share * (gains->touched[0] - kept[0]);
+        part->gain_im = share * (gains->touched[1] - kept[1]);
+        part->use += 2u * HD_MODE_USES;
+        strike_part(state, strike, part, force_n, period_s);
+    }
+}
+
+HD_RT static const double *kept_gains(const struct hd_strike *strike, uint32_t index) {
+    return strike->second_tail != NULL && strike->lifts && !strike->bare ? strike->kept + index : NULL;
+}
+
+HD_RT static void strike_tail(struct hd_state *state, const struct hd_strike *strike, double share,
+                              const double force_n[2], double period_s) {
+    const struct hd_mode *mode = strike->mode;
+    struct component tail = {
+        .rotor_re = mode->tail_rotor_re,
+        .rotor_im = mode->tail_rotor_im,
+        .decay_rate_per_s = mode->tail_decay_rate_per_s,
+        .angular_frequency_rad_per_s = mode->tail_angular_frequency_rad_per_s,
+        .end_s = mode->tail_end_s,
+        .use = HD_MODE_USES + strike->use,
+    };
+    const struct gains gains = {
+        {mode->free_tail_re, mode->free_tail_im},
+        {mode->tail_re, mode->tail_im},
+        kept_gains(strike, HD_KEPT_TAIL_GAIN),
+    };
+    strike_component(state, strike, &tail, &gains, share, force_n, period_s);
+}
+
+HD_RT static void strike_second_tail(struct hd_state *state, const struct hd_strike *strike, double share,
+                                     const double force_n[2], double period_s) {
+    const double *numbers = strike->second_tail;
+    const double *full = strike->kept + HD_KEPT_FULL_SECOND_TAIL_GAIN;
+    struct component tail = {
+        .rotor_re = numbers[HD_KEPT_ROTOR],
+        .rotor_im = numbers[HD_KEPT_ROTOR + 1],
+        .decay_rate_per_s = numbers[HD_KEPT_DECAY_PER_S],
+        .angular_frequency_rad_per_s = numbers[HD_KEPT_RAD_PER_S],
+        .end_s = numbers[HD_KEPT_END_S],
+        .use = HD_MODE_USES + strike->use,
+    };
+    const struct gains gains = {{0.0, 0.0}, {full[0], full[1]}, kept_gains(strike, HD_KEPT_SECOND_TAIL_GAIN)};
+    strike_component(state, strike, &tail, &gains, share, force_n, period_s);
+}
+
 HD_RT void hd_modes_strike(struct hd_state *state, const struct hd_strike *strike, const double force_n[2],
                            double period_s) {
     const struct hd_mode *mode = strike->mode;
-    const double share = mode->touched_n_per_m > 0.0 ? strike->touched : 1.0;
-    const struct component own = {
+    const double share = mode->touched_n_per_m > 0.0 && !strike->bare ? strike->touched : 1.0;
+    struct component own = {
         .rotor_re = mode->rotor_re,
         .rotor_im = mode->rotor_im,
         .decay_rate_per_s = mode->decay_rate_per_s,
         .angular_frequency_rad_per_s = mode->angular_frequency_rad_per_s,
         .end_s = mode->end_s,
-        .gain_re = strike->bare ? 1.0 : interpolate(mode->free_gain_re, mode->gain_re, share),
-        .gain_im = strike->bare ? 0.0 : interpolate(mode->free_gain_im, mode->gain_im, share),
         .use = strike->use,
     };
-    strike_part(state, strike, &own, force_n, period_s);
+    const struct gains bare = {{1.0, 0.0}, {1.0, 0.0}, NULL};
+    const struct gains gains = {
+        {mode->free_gain_re, mode->free_gain_im},
+        {mode->gain_re, mode->gain_im},
+        kept_gains(strike, HD_KEPT_GAIN),
+    };
+    strike_component(state, strike, &own, strike->bare ? &bare : &gains, share, force_n, period_s);
     if (strike->bare) {
         return;
     }
     if (mode->tail_end_s > 0.0) {
-        const struct component tail = {
-            .rotor_re = mode->tail_rotor_re,
-            .rotor_im = mode->tail_rotor_im,
-            .decay_rate_per_s = mode->tail_decay_rate_per_s,
-            .angular_frequency_rad_per_s = mode->tail_angular_frequency_rad_per_s,
-            .end_s = mode->tail_end_s,
-            .gain_re = interpolate(mode->free_tail_re, mode->tail_re, share),
-            .gain_im = interpolate(mode->free_tail_im, mode->tail_im, share),
-            .use = HD_MODE_USES + strike->use,
-        };
-        strike_part(state, strike, &tail, force_n, period_s);
+        strike_tail(state, strike, share, force_n, period_s);
+    }
+    if (strike->second_tail != NULL) {
+        strike_second_tail(state, strike, share, force_n, period_s);
     }
     if (mode->kick_count > 0 && state->active_mode_count > 0) {
         hd_strike_correction_add(state, mode, strike->before_s / period_s, force_n);
     }
+}
+
+/* Multiplies the amplitude of the modes of a chain by `factor`. */
+HD_RT static void scale_chain(struct hd_state *state, uint32_t link, double factor) {
+    for (uint32_t passed = 0; link != 0 && passed < HD_MODES_COMPARED_MAX; passed++) {
+        struct hd_active_mode *active = &state->active_modes[link - 1u];
+        for (int axis = 0; axis < 2; axis++) {
+            state->ringing_n[axis] -= (1.0 - factor) * active->im[axis];
+        }
+        active->re *= factor;
+        active->im *= factor;
+        link = state->mode_ends[link - 1u].next;
+    }
+}
+
+HD_RT void hd_modes_scale_preloaded(struct hd_state *state, uint32_t slot, double factor) {
+    scale_chain(state, state->slots[slot].preloaded, factor);
+}
+
+HD_RT void hd_modes_silence_tails(struct hd_state *state, uint32_t slot) {
+    scale_chain(state, state->slots[slot].preloaded, 0.0);
+    scale_chain(state, state->slots[slot].tail[HD_MODE_TAP], 0.0);
+    scale_chain(state, state->slots[slot].tail[HD_MODE_SECOND], 0.0);
 }
 
 HD_RT void hd_modes_scale(struct hd_state *state, double factor) {

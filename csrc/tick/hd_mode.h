@@ -15,6 +15,10 @@ HD_RT void hd_modes_strike(struct hd_state *state, const struct hd_strike *strik
                            double period_s);
 /* Multiplies the amplitude of everything that rings by `factor`. */
 HD_RT void hd_modes_scale(struct hd_state *state, double factor);
+/* Multiplies the amplitude of the parts of a slot's taps that need a preload by `factor`. */
+HD_RT void hd_modes_scale_preloaded(struct hd_state *state, uint32_t slot, double factor);
+/* Silences the tails of a slot's taps, and the parts that need a preload. */
+HD_RT void hd_modes_silence_tails(struct hd_state *state, uint32_t slot);
 HD_RT void hd_modes_silence(struct hd_state *state);
 
 #endif

@@ -115,6 +115,7 @@ struct hd_slot {
     uint8_t resume;            /* the contact was cleared while it was pressed */
     uint8_t changed;           /* a command changed this contact: the force at the end of this tick fades in */
     uint8_t held;              /* the groove at `groove_m` was struck, and the probe has not been away from it since */
+    uint8_t kept;              /* its last tap is compensated and keeps the contact: hd_preload.h */
     uint16_t seam;             /* ticks in which friction still blends from the earlier surface to this one */
     double ramp;               /* of the contact force, 0 to 1: of a contact without onset that no command caused */
     double anchor_m;           /* s of the friction spring's anchor */
@@ -123,6 +124,11 @@ struct hd_slot {
     struct hd_contact_point last; /* contact point at the last tick; its normal stays valid after the contact */
     struct hd_surface surface;    /* at the last tick */
     uint32_t tail[HD_MODE_USES];  /* as `mode`, for tails; at the end of the record, because few ever ring */
+    uint32_t preloaded;           /* as `mode`, for the part of a tap that needs a preload: hd_preload.h */
+    double preload_share;         /* of that part, 0 to 1: what is left of it */
+    double tap_m_per_s;           /* approach speed of the last tap */
+    double tap_s;                 /* time since its onset, in contact */
+    uint64_t tap_tick;            /* the tick that struck it, plus one; 0: none */
 };
 
 /* A vector of x and y for arithmetic on both at once. */
@@ -136,7 +142,7 @@ struct hd_active_mode {
     uint32_t remaining; /* ticks after this one in which it still sounds */
     uint32_t slot;
     uint32_t generation;
-    uint32_t use; /* enum hd_mode_use; for a tail HD_MODE_USES is added */
+    uint32_t use; /* enum hd_mode_use; for a tail HD_MODE_USES is added, for a part that needs a preload twice that */
 };
 
 /* Data of an active mode that only strikes and ends use. */
@@ -179,6 +185,9 @@ struct hd_strike {
     double tuned_decay_rate_per_s;  /* tap only */
     double tuned_m_per_s;           /* tap only: approach speed */
     const struct hd_material *wave; /* material whose waveform is played; NULL: a mode */
+    const double *second_tail;      /* of a compensated tap: HD_KEPT_TAIL numbers; NULL: none */
+    const double *kept;             /* its gains: HD_KEPT_GAINS numbers */
+    uint32_t lifts; /* it acts along the normal: the kept gains sound, and the rest if the preload allows */
 };
 
 /* A strike that the device plays as an effect. */

@@ -2,6 +2,7 @@
 #include "tick/hd_tap.h"
 
 #include "tick/hd_aim.h"
+#include "tick/hd_preload.h"
 #include "tick/hd_strike_mode.h"
 #include "tick/hd_surface.h"
 
@@ -55,6 +56,8 @@ HD_RT void hd_tap_strike(struct hd_context *context, uint32_t index, const struc
     }
     double peak_time_s = material->tap.peak_time_s;
     const uint32_t struck = state->strike_count;
+    uint32_t bounced = 0;
+    const double *second_tail = hd_preload_begin(context, index, material, before_s, approach, &bounced);
     struct hd_strike strike = {
         .mode = &material->tap,
         .slot = index,
@@ -64,7 +67,11 @@ HD_RT void hd_tap_strike(struct hd_context *context, uint32_t index, const struc
         .units = units,
         .before_s = before_s,
         .wave = material->wave_count > 0 ? material : NULL,
+        .bare = bounced,
+        .second_tail = second_tail,
+        .lifts = 1,
     };
+    strike.kept = strike.second_tail != NULL ? strike.second_tail + HD_KEPT_TAIL : NULL;
     const int heard = material->mode_count == 0 ||
                       hd_strike_mode_tap(context->table, material, approach, &strike, &units, &peak_time_s);
     const double peak_s = at_least_0(peak_time_s - before_s);
@@ -82,6 +89,8 @@ HD_RT void hd_tap_strike(struct hd_context *context, uint32_t index, const struc
         strike.tuned = NULL;
         strike.use = HD_MODE_SECOND;
         strike.wave = NULL;
+        strike.kept = strike.second_tail != NULL ? strike.kept + HD_KEPT_GAINS : NULL;
+        strike.lifts = 1;
         strike.growth_n = material->stiffness_n_per_m * approach * at_least_0(longer_s);
         hd_aim_strike(state, slot, material->tap_aim, point->normal, &strike);
     }

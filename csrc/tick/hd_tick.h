@@ -16,6 +16,7 @@
  *   hd_seam                friction that continues across the seam of two surfaces
  *   hd_tap                 the tap of an onset
  *   hd_contact_force       the contact force of one object
+ *   hd_preload             compensated taps, limited so that they stay in contact
  *   hd_surface             stiffness, damping, friction and geometry at an arc length
  *   hd_groove_profile      where grooves are, and their shape
  *   hd_friction            Coulomb friction with a pre-sliding spring

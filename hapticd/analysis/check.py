@@ -30,6 +30,7 @@ from hapticd.rendering.displayability import (
     displayed_wave_rate,
     materials_in,
     modes_of,
+    preload_notes,
     rate_faults,
     strike_error,
     undisplayable,
@@ -45,6 +46,8 @@ from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable_text import Use
 
+NOTED_TAP_SPEED_M_PER_S: Final = 0.1
+"""Approach speed for which the report gives the depth that a compensated tap needs."""
 _STEP_UNKNOWN_TEXT: Final = "the encoder's step is not known"
 """Reason in a report why the stability is unknown."""
 _LINK_UNKNOWN_TEXT: Final = (
@@ -146,7 +149,12 @@ def check(config: Config) -> Report:
         refused=(*device.undrivable, *refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
         warnings=tuple(found_warnings),
-        notes=(*device.notes, *_weak_discs(config), *_imperfect_fits(shown)),
+        notes=(
+            *device.notes,
+            *_weak_discs(config),
+            *_imperfect_fits(shown),
+            *preload_notes(shown, output, NOTED_TAP_SPEED_M_PER_S),
+        ),
     )
 
 

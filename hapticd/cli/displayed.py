@@ -265,6 +265,7 @@ def verify_command(
     from hapticd.analysis.calibration import verify
     from hapticd.analysis.calibration.accelerometer import load_recording
     from hapticd.config.configuration import config_of
+    from hapticd.rendering.displayability import preload_notes
 
     config = config_of(configs)
     simulated = config.device.kind == "sim"
@@ -300,3 +301,5 @@ def verify_command(
         for each in verdicts
     ]
     print_table(("material", "use", ">Hz", ">shown Hz", ">m/s²", ">N", ">strength", ">error"), rows)
+    for problem in preload_notes(config.materials, played.output, speed) if recording is None else ():
+        click.echo(str(problem))

@@ -192,6 +192,17 @@ class Tap(AimedKeys):
         """Return the coefficient A of the mode Q(t) or of the waveform, for an amplitude as `attack` defines it."""
         return (self.waveform or self.mode).coefficient(amplitude, self.attack)
 
+    @property
+    def largest_slope_per_s(self) -> float:
+        """Largest amplitude A over the approach speed, in 1/s."""
+        if self.attack_slope_per_s is not None:
+            return self.attack_slope_per_s
+        assert self.amplitudes is not None
+        points = ((0.0, 0.0), *self.amplitudes)
+        (before, low), (speed, high) = points[-2:]
+        beyond = (high - low) / (speed - before)
+        return max(beyond, *(amplitude / speed for speed, amplitude in self.amplitudes))
+
     def cross_faults(self) -> list[str]:
         """Return a text for each invalid combination of keys."""
         faults = [*super().cross_faults(), *one_of_two(self, "attack_slope_per_s", "amplitudes")]

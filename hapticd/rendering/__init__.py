@@ -13,6 +13,7 @@ What can be displayed:
 
     displayability      which vibrations are muted, lowered, refused or displayed with a deviation
     undisplayable_text  a vibration above 0.4 of the rate, and the text that reports it; fast to import
+    kept_contact        compensated taps that stay in contact with the surface
     lagging_modes       modes for which the actuator is too slow
     end_state           how a simulated motion ends: at rest, or in a cycle
     driven_hand         whether a texture keeps a light hand moving

@@ -124,6 +124,13 @@ class Shape:
     """Whether the force was scaled down because its peak exceeded MAX_STRIKE_FORCE_RATIO."""
     kicks: tuple[tuple[float, float], ...] = ()
     """Pair (c, d) for each of the first samples: c + d x is added if the onset is x periods before the first sample."""
+    second_tail: Ringing | None = None
+    """A further tail, of taps that stay in contact (hapticd.rendering.kept_contact)."""
+
+    @property
+    def parts(self) -> tuple[Ringing, ...]:
+        """Mode and tails."""
+        return tuple(part for part in (self.mode, self.tail, self.second_tail) if part is not None)
 
 
 def pole_of(mode: Mode) -> complex:
@@ -286,15 +293,16 @@ class _Band:
     def shape(self, poles: Sequence[complex], gains: _Floats) -> Shape:
         """Return the force's shape with these poles and gains, scaled down to MAX_STRIKE_FORCE_RATIO if necessary."""
         ringing = [Ringing(pole, complex(*gains[2 * i : 2 * i + 2])) for i, pole in enumerate(poles)]
-        mode, tail = ringing[0], ringing[1] if len(ringing) > 1 else None
-        peak, peak_time_s = _peak(mode, tail)
+        peak, peak_time_s = _peak(ringing)
         limited = peak > MAX_STRIKE_FORCE_RATIO
         if limited:
             factor = MAX_STRIKE_FORCE_RATIO / peak
-            mode = Ringing(mode.pole, factor * mode.gain)
-            tail = None if tail is None else Ringing(tail.pole, factor * tail.gain)
+            ringing = [Ringing(each.pole, factor * each.gain) for each in ringing]
             gains, peak = factor * gains, MAX_STRIKE_FORCE_RATIO
-        return Shape(mode, tail, peak, peak_time_s, self.error(self.columns(poles), gains), limited)
+        mode, tail, second_tail = (*ringing, None, None)[:3]
+        assert mode is not None
+        error = self.error(self.columns(poles), gains)
+        return Shape(mode, tail, peak, peak_time_s, error, limited, second_tail=second_tail)
 
     def alone(self, gain: complex) -> Shape:
         """Return the shape of the force Im(gain exp(p t)) with the mode's pole p, in units of (m + m_h) A."""
@@ -347,6 +355,30 @@ class _Band:
         shape = replace(shape, peak=peak, error=errors[0], limited=peak > MAX_STRIKE_FORCE_RATIO, kicks=kicked_pairs)
         return shape, _root_mean_square(errors)
 
+    def bounded(self, shape: Shape, rows: _Floats, bounds: _Floats) -> Shape | None:
+        """Return the shape with the poles and kicks of `shape` that has the least displayed error within bounds.
+
+        The gains satisfy rows @ gains <= bounds. Returns None if no gains do.
+        """
+        poles = [part.pole for part in shape.parts]
+        if not shape.kicks:
+            gains = bounded_least_squares(np.array(self.columns(poles)).T, self.target(), rows, bounds)
+            return None if gains is None else self.shape(poles, gains)
+        columns = [np.array(self.columns(poles, onset)).T for onset in self._onsets]
+        targets = [self.target(onset) - self._kicked(shape, onset) for onset in self._onsets]
+        gains = bounded_least_squares(np.vstack(columns), np.concatenate(targets), rows, bounds)
+        if gains is None:
+            return None
+        found = self.shape(poles, gains)
+        error = float(np.linalg.norm(columns[0] @ gains - targets[0])) / self._grid.target_norm
+        peak = found.peak + max(max(abs(c), abs(c + d)) for c, d in shape.kicks)
+        return replace(found, peak=peak, error=error, kicks=shape.kicks)
+
+    def _kicked(self, shape: Shape, onset: float) -> _Floats:
+        """Return the acceleration by the kicks of a shape."""
+        kicks = [(c + d * onset) * self._base[:, self._kicks + k] for k, (c, d) in enumerate(shape.kicks)]
+        return np.asarray(np.sum(kicks, axis=0), np.float64)
+
     def error_over_onsets(self, shape: Shape) -> float:
         """Return the displayed error of a shape without kicks, RMS over _ONSET_FRACTIONS."""
         sounding = [shape.mode] if shape.tail is None else [shape.mode, shape.tail]
@@ -355,16 +387,69 @@ class _Band:
         return _root_mean_square([self.error(self.columns(poles, onset), gains, onset) for onset in _ONSET_FRACTIONS])
 
 
+def bounded_least_squares(columns: _Floats, target: _Floats, rows: _Floats, bounds: _Floats) -> _Floats | None:
+    """Return the x with rows @ x <= bounds that has the least |columns @ x - target|; None if there is none.
+
+    With columns = Q R this is the least z = R x - Q' target with rows R^-1 z <= bounds - rows R^-1 Q' target, and that
+    is a least-squares problem with non-negative unknowns (Lawson and Hanson 1974, chapter 23).
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    base, triangle = np.linalg.qr(columns / scale)
+    inverse = np.linalg.inv(triangle)
+    free = base.T @ target
+    limits, excess = rows / scale @ inverse, rows / scale @ inverse @ free - bounds
+    if (excess <= 0.0).all():
+        return np.asarray(inverse @ free / scale, np.float64)
+    size = np.linalg.norm(limits, axis=1)
+    limits, excess = limits / size[:, None], excess / size
+    longest = float(np.abs(excess).max())
+    stacked = np.vstack((-limits.T, excess / longest))
+    residual = stacked @ _non_negative(stacked) - np.eye(len(stacked))[-1]
+    if abs(residual[-1]) < 1e-12:
+        return None
+    return np.asarray(inverse @ (free - longest * residual[:-1] / residual[-1]) / scale, np.float64)
+
+
+def _non_negative(columns: _Floats) -> _Floats:
+    """Return the x >= 0 with the least |columns @ x - e|, where e is the last unit vector (Lawson and Hanson)."""
+    target = np.eye(len(columns))[-1]
+    x, used = np.zeros(columns.shape[1]), np.zeros(columns.shape[1], bool)
+    for _ in range(3 * columns.shape[1]):
+        slope = columns.T @ (target - columns @ x)
+        slope[used] = 0.0
+        if not slope.max() > 1e-12:
+            break
+        used[slope.argmax()] = True
+        while True:
+            tried = np.zeros_like(x)
+            tried[used] = np.linalg.lstsq(columns[:, used], target, rcond=None)[0]
+            falling = used & (tried <= 0.0)
+            if not falling.any():
+                break
+            x += float((x[falling] / (x[falling] - tried[falling])).min()) * (tried - x)
+            used &= x > 1e-15
+            x[~used] = 0.0
+        x = tried
+    return x
+
+
+@lru_cache(maxsize=8)
+def _band(
+    mode: Mode, dynamics: Dynamics, rate_hz: float, load: Load, tails: tuple[complex, ...], with_onsets: bool
+) -> _Band:
+    """Return a band, cached because several shapes with the same poles are designed in a row."""
+    return _Band(mode, dynamics, rate_hz, load, tails, with_onsets)
+
+
 def _root_mean_square(errors: list[float]) -> float:
     return math.sqrt(sum(error**2 for error in errors) / len(errors))
 
 
-def _peak(mode: Ringing, tail: Ringing | None) -> tuple[float, float]:
-    """Return an upper bound of the magnitude of mode plus tail over all times, and the time of the largest sample.
+def _peak(sounding: Sequence[Ringing]) -> tuple[float, float]:
+    """Return an upper bound of the magnitude of the sum of signals over all times, and the time of the largest sample.
 
     Between two samples at a distance h, a function exceeds the larger one by at most h^2/8 times its largest curvature.
     """
-    sounding = [mode] if tail is None else [mode, tail]
     highest, where, begin = 0.0, 0.0, 0.0
     for end in sorted({each.end_s for each in sounding}):
         here = [each for each in sounding if each.end_s >= end]
@@ -399,10 +484,9 @@ def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, loa
     """Return the complex fraction, ideally 1, of a mode in the handle's acceleration in the band, for this shape."""
     grid = _grid(mode, rate_hz)
     struck = np.zeros_like(grid.target)
-    for ringing in (shape.mode, shape.tail):
-        if ringing is not None:
-            one, other = grid.pair(ringing.pole, grid.count(ringing.pole, 0.0))
-            struck = struck + ringing.gain.real * one + ringing.gain.imag * other
+    for ringing in shape.parts:
+        one, other = grid.pair(ringing.pole, grid.count(ringing.pole, 0.0))
+        struck = struck + ringing.gain.real * one + ringing.gain.imag * other
     for spectrum, (kick, _) in zip(grid.kick_spectra, shape.kicks, strict=False):
         struck = struck + kick * spectrum
     return complex(np.vdot(grid.target, grid.response(dynamics, load) * struck)) / grid.target_norm**2
@@ -451,15 +535,31 @@ def shapes_of(
         return chosen, chosen
     first, second = (load, load.free) if best_in_contact else (load.free, load)
     chosen = shape_of(mode, dynamics, rate_hz, compensation, first)
-    tail = () if chosen.tail is None else (chosen.tail.pole,)
-    band = _Band(mode, dynamics, rate_hz, second, tail, bool(chosen.kicks))
-    if not tail:
-        other = band.plain()
-    elif chosen.kicks:
-        other = band.with_kicks(*tail, np.array(chosen.kicks).ravel())[0]
-    else:
-        other = band.with_tail(*tail)
+    other = with_poles_of(chosen, mode, dynamics, rate_hz, second)
     return (other, chosen) if best_in_contact else (chosen, other)
+
+
+def with_poles_of(chosen: Shape, mode: Mode, dynamics: Dynamics, rate_hz: float, load: Load) -> Shape:
+    """Return the shape with the poles and kicks of `chosen` that has the least displayed error against `load`."""
+    tail = () if chosen.tail is None else (chosen.tail.pole,)
+    band = _Band(mode, dynamics, rate_hz, load, tail, bool(chosen.kicks))
+    if not tail:
+        return band.plain()
+    if chosen.kicks:
+        return band.with_kicks(*tail, np.array(chosen.kicks).ravel())[0]
+    return band.with_tail(*tail)
+
+
+def bounded_shape(
+    mode: Mode, dynamics: Dynamics, rate_hz: float, load: Load, shape: Shape, rows: _Floats, bounds: _Floats
+) -> Shape | None:
+    """Return the shape with the poles and kicks of `shape` whose gains have the least displayed error against `load`.
+
+    The gains satisfy rows @ gains <= bounds; they are real and imaginary part of the mode's gain, then of the tail's.
+    Returns None if no gains satisfy that.
+    """
+    tails = tuple(part.pole for part in shape.parts[1:])
+    return _band(mode, dynamics, rate_hz, load, tails, bool(shape.kicks)).bounded(shape, rows, bounds)
 
 
 def tuned_shapes(
@@ -499,8 +599,7 @@ def peak_between(one: Shape, other: Shape) -> float:
 
     The shape half way has the means of the gains and of the modes' poles.
     """
-    mode = Ringing((one.mode.pole + other.mode.pole) / 2, (one.mode.gain + other.mode.gain) / 2)
-    tail = None
+    sounding = [Ringing((one.mode.pole + other.mode.pole) / 2, (one.mode.gain + other.mode.gain) / 2)]
     if one.tail is not None and other.tail is not None:
-        tail = Ringing(one.tail.pole, (one.tail.gain + other.tail.gain) / 2)
-    return _peak(mode, tail)[0] / ((one.peak + other.peak) / 2)
+        sounding.append(Ringing(one.tail.pole, (one.tail.gain + other.tail.gain) / 2))
+    return _peak(sounding)[0] / ((one.peak + other.peak) / 2)

@@ -8,7 +8,7 @@ refused, `warnings` those that are displayed with a deviation. Faults and warnin
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
 from typing import Final
@@ -16,15 +16,16 @@ from typing import Final
 from hapticd.base.errors import Path, Problem, path_text
 from hapticd.base.lattice import reflection_of
 from hapticd.base.model import MAX_FAULTS
-from hapticd.config.materials import Material
+from hapticd.config.materials import Material, Tap
 from hapticd.config.modes import Mode
 from hapticd.config.scene import TOUCHING_DISTANCE_M, SceneObject, Wall, patches_in_order, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
-from hapticd.rendering.compensation import MAX_STRIKE_FORCE_RATIO, Load, Shape, shapes_of
+from hapticd.rendering.compensation import MAX_STRIKE_FORCE_RATIO, Load, Shape, shapes_of, with_poles_of
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayed_error import displayed_error
 from hapticd.rendering.filter_design import power_above, stochastic_filter
+from hapticd.rendering.kept_contact import KeptTap, kept_tap
 from hapticd.rendering.resampling import resampled
 from hapticd.rendering.undisplayable_text import Undisplayable, Use
 
@@ -81,6 +82,8 @@ class Touched:
     damping_n_s_per_m: float = 0.0
     strike_fraction: float = 1.0
     """Fraction of stiffness and damping along the strike: (n . d)^2, with the normal n and the strike's direction d."""
+    pushes: tuple[tuple[Mode, float], ...] = ()
+    """The modes of a tap, each with its largest coefficient along the normal over the approach speed, in 1/s."""
 
     @property
     def design_n_per_m(self) -> float:
@@ -105,7 +108,32 @@ def touched_by(material: Material, use: Use) -> Touched:
     """Return the surface that a strike acts against: the material's for a tap, NO_SURFACE for other strikes."""
     if use not in ("tap", "second") or material.tap is None:
         return NO_SURFACE
-    return Touched(material.stiffness_n_per_m, material.damping_n_s_per_m, material.tap.aim[0] ** 2)
+    tap = material.tap
+    return Touched(material.stiffness_n_per_m, material.damping_n_s_per_m, tap.aim[0] ** 2, _pushes(tap))
+
+
+def _pushes(tap: Tap) -> tuple[tuple[Mode, float], ...]:
+    """Return the modes that a tap strikes along the normal, each with its largest coefficient over speed, in 1/s."""
+    slope = 0.0 if tap.one_mode is None else tap.aim[0] * tap.coefficient(tap.largest_slope_per_s)
+    if tap.one_mode is None or slope == 0.0:
+        return ()
+    second = () if tap.second is None or tap.second.ratio == 0.0 else ((tap.second.mode, tap.second.ratio * slope),)
+    return (tap.one_mode, slope), *second
+
+
+def kept_of(output: Output, touched: Touched) -> KeptTap | None:
+    """Return the forces of a compensated tap that stays in contact; None if that needs no other forces."""
+    if output.compensation != "full" or output.dynamics is None or not touched.stiffness_n_per_m > 0.0:
+        return None
+    pushes = []
+    for mode, push in touched.pushes:
+        shown, factor = displayed_mode(mode, output)
+        if shown is not None:
+            pushes.append((shown, factor * push))
+    if not pushes:
+        return None
+    load = touched.load(output)
+    return kept_tap(tuple(pushes), output.dynamics, output.carried_hz, load, touched.best_in_contact)
 
 
 def struck_shapes(mode: Mode, output: Output, touched: Touched = NO_SURFACE) -> tuple[Shape, Shape] | None:
@@ -118,7 +146,12 @@ def struck_shapes(mode: Mode, output: Output, touched: Touched = NO_SURFACE) -> 
         return None
     assert output.dynamics is not None
     load, rate_hz = touched.load(output), output.carried_hz
-    return shapes_of(mode, output.dynamics, rate_hz, output.compensation, load, touched.best_in_contact)
+    free, contact = shapes_of(mode, output.dynamics, rate_hz, output.compensation, load, touched.best_in_contact)
+    kept = kept_of(output, touched)
+    full = contact if kept is None else kept.full_of(mode, contact)
+    if full is contact:
+        return free, contact
+    return with_poles_of(full, mode, output.dynamics, rate_hz, load.free), full
 
 
 def waveform_of(material: Material) -> Waveform | None:
@@ -254,7 +287,8 @@ def _compensation_warnings(name: str, material: Material, output: Output) -> Ite
     for use, mode in modes_of(material):
         shown, _ = displayed_mode(mode, output)
         touched = touched_by(material, use)
-        shapes = None if shown is None else struck_shapes(shown, output, touched)
+        # Without the limits of a tap that stays in contact, which may need less force.
+        shapes = None if shown is None else struck_shapes(shown, output, replace(touched, pushes=()))
         shape = None if shapes is None else shapes[touched.best_in_contact]
         if shape is not None and shape.limited:
             problem = (
@@ -262,6 +296,27 @@ def _compensation_warnings(name: str, material: Material, output: Output) -> Ite
                 f"(m + m_h) A, and is limited to that; its acceleration is off by {100 * shape.error:.2g} %"
             )
             yield Problem(path_text(("materials", name, *mode_path(use))), problem)
+
+
+def preload_notes(materials: Mapping[str, Material], output: Output, speed_m_per_s: float) -> list[Problem]:
+    """Return a note for each compensated tap of these materials that needs a preload to stay in contact.
+
+    It gives the depth at this speed from which on the hand holds the complete compensation, and the errors.
+    """
+    found = []
+    for name, material in materials.items():
+        kept = kept_of(output, touched_by(material, "tap"))
+        if kept is not None and kept.full != kept.kept:
+            depth_mm = 1e3 * kept.full_s * speed_m_per_s
+            error, larger = (100 * max(shape.error for shape in each) for each in (kept.full, kept.kept))
+            problem = (
+                f"is displayed with an error of {error:.2g} % on its wall by a hand that stops at least "
+                f"{1e3 * kept.full_s:.2g} ms after the onset, {depth_mm:.2g} mm deep at {speed_m_per_s:g} m/s; if it "
+                f"stops earlier, compensation is reduced so that the tap stays in contact ({larger:.2g} % if "
+                f"{1e3 * kept.kept_s:.2g} ms after the onset)"
+            )
+            found.append(Problem(path_text(("materials", name, "tap")), problem))
+    return found
 
 
 def _waveform_warnings(name: str, material: Material, output: Output) -> Iterator[Problem]:

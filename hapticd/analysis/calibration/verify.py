@@ -53,6 +53,8 @@ response; a longer time would add noise of the sensor."""
 SIMULATION_TAIL_S: Final = 0.25
 """Time beyond five decay times that is compared in a simulation, until hand and handle are at rest. It is shorter than
 the pause between two strikes."""
+DEEP_TAP_TIMES: Final = 2.0
+"""Time for which a tap on a wall keeps its speed, over the inverse of the angular frequency of handle and wall."""
 ONSET_LEAD_PERIODS: Final = 2.0**-20
 """Time from an onset to the next tick, in periods. Above 0, so that the probe is inside the surface at the tick."""
 
@@ -283,16 +285,18 @@ def tap_force(
 ) -> Floats:
     """Return the vibration force of a tap on a wall of a material, (count, 2) in N, at the configuration's ticks.
 
-    The wall's normal is `axis`; the onset is `onset_periods` periods before the first tick.
+    The wall's normal is `axis`; the onset is `onset_periods` periods before the first tick. The probe keeps its speed
+    until it is deeper than a hand could press it in, so that the compensation of the tap is not reduced.
     """
     along = (1.0, 0.0) if axis == "x" else (0.0, 1.0)
     wall = Wall(kind="wall", point_m=(0.0, 0.0), normal=along, material=material)
     alone = config.model_copy(update={"scene": Scene(objects={"wall": wall})})
+    stiffness, mass = config.materials[material].stiffness_n_per_m, config.device.effective_mass_kg
+    moving_s = 0.0 if stiffness == 0.0 else DEEP_TAP_TIMES * math.sqrt(mass / stiffness)
+    moving = math.ceil(moving_s * config.servo.rate_hz)
     step_m = speed_m_per_s / config.servo.rate_hz
-    path = np.full(count + 1, -onset_periods * step_m)
-    path[0] = (1.0 - onset_periods) * step_m
-    speeds = np.zeros(count + 1)
-    speeds[:2] = -speed_m_per_s
+    path = -step_m * (np.minimum(np.arange(count + 1) - 1.0, moving) + onset_periods)
+    speeds = np.where(np.arange(count + 1) <= moving + 1, -speed_m_per_s, 0.0)
     samples = render(alone, np.outer(path, along), velocity_m_per_s=np.outer(speeds, along))
     force: Floats = np.asarray(samples["vibration_force_n"][1:], dtype=np.float64)
     return force

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Final, TypeAlias
@@ -14,16 +16,19 @@ from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.texture import FrequencyTable, Grooves
 from hapticd.config.waveform import Waveform
+from hapticd.rendering.compensation import Ringing
 from hapticd.rendering.compiler.mode_record import Effect, mode_record
 from hapticd.rendering.compiler.mode_tables import tabled_grooves, tabled_tap
 from hapticd.rendering.device_output import Output
-from hapticd.rendering.displayability import displayed_wave_rate, touched_by
+from hapticd.rendering.displayability import Touched, displayed_mode, displayed_wave_rate, kept_of, touched_by
 
 Numbers: TypeAlias = dict[str, npt.NDArray[np.float64]]
 """A material's arrays for the table's `numbers`, by the member of the record that holds an array's first index."""
 
 _DEFAULT_AIM: Final = (1.0, 0.0)
 """Aim (AimedKeys.aim) of a tap or a rupture without a direction, along the normal; also the core's default."""
+_KEPT_GAINS: Final = 8
+"""Numbers of the gains of one mode of a compensated tap: the core's HD_KEPT_GAINS."""
 _SIGNED_MEMBERS: Final = (
     *("gain_re", "gain_im", "tail_re", "tail_im"),
     *("free_gain_re", "free_gain_im", "free_tail_re", "free_tail_im"),
@@ -117,6 +122,32 @@ def _put_tap(
                 record.second.kicks[index] = -record.second.kicks[index]
             for key in _SIGNED_MEMBERS:
                 setattr(record.second, key, -getattr(record.second, key))
+    _put_kept(record, numbers, output, touched)
+
+
+def _put_kept(record: CData, numbers: Numbers, output: Output, touched: Touched) -> None:
+    """Set the members of a material's record for a compensated tap that stays in contact, with a second tail."""
+    kept = kept_of(output, touched)
+    if kept is None:
+        return
+    pole, gains, shapes = 0j, [], zip(kept.full, kept.kept, strict=True)
+    members = (record.tap, record.second)
+    for index, (mode, push) in enumerate(touched.pushes):
+        found = (0j,) * 4
+        if displayed_mode(mode, output)[0] is not None:
+            full, shape = next(shapes)
+            _, tail, second_tail = shape.parts
+            found = (shape.mode.gain, tail.gain, second_tail.gain, full.parts[2].gain)
+            pole = second_tail.pole
+            members[index].peak = max(full.peak, shape.peak)
+        sign = math.copysign(1.0, push * touched.pushes[0][1])
+        gains += [sign * part for gain in found for part in (gain.real, gain.imag)]
+    gains += [0.0] * (2 * _KEPT_GAINS - len(gains))
+    rotor = cmath.exp(pole / output.rate_hz)
+    end_s = Ringing(pole, 0j).end_s
+    tail_numbers = (rotor.real, rotor.imag, -pole.real, pole.imag, end_s)
+    record.kept_count, record.kept_step_s = len(kept.kept_depth_s), kept.step_s
+    numbers["kept_first"] = np.concatenate((tail_numbers, gains, kept.kept_depth_s, kept.full_depth_s))
 
 
 def _put_waveform(record: CData, waveform: Waveform, slope: float, coefficient: float, output: Output) -> None:
