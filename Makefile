@@ -259,7 +259,7 @@ check: tools ## run lint, C tests under three sanitizers, make test-long, and th
 	@$(MAKE) --no-print-directory test-long
 	@$(MAKE) --no-print-directory test-browser
 
-VERIFIED = warnings analyze msan rtsan jitter verify-model rtsan-daemon tsan-daemon verify-units wheel-test test-slow test-vm \
+VERIFIED = warnings analyze msan rtsan jitter verify-model rtsan-daemon tsan-daemon verify-units wheel-test test-slow random-taps test-vm \
 	test-systemd test-pythons
 
 .PHONY: verify
@@ -271,6 +271,10 @@ verify: tools ## run everything that make check leaves out, or the part VERIFIED
 		echo "$$each: $$said, $$(($$(date +%s) - begin)) s"; \
 		grep -h '^needed a second run' build/verify/$$each.log; \
 	done; [ -z "$$failed" ] || { echo "failed:$$failed" >&2; exit 1; }
+
+.PHONY: random-taps
+random-taps: tools ## tap 2,000 times at random, with and without compensation: contacts, displayed errors, the worst tap
+	$(BIN)/python -m bench.kept_taps
 
 .PHONY: lint
 lint: tools

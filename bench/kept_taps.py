@@ -1,0 +1,190 @@
+"""Random taps in the closed loop, with and without compensation: contacts and displayed errors.
+
+    python -m bench.kept_taps [--taps 2000] [--seed 35] [--processes 2]
+
+A hand comes at a constant speed and stops at a depth behind the surface; it holds the handle with mass, damper and
+spring. Materials, hands, speeds and depths are random. The displayed motion is that of the handle minus that of the
+same tap without vibration. Its error is the RMS of the difference from the library's waveform, from 30 Hz to 0.4 of the
+rate, over the RMS of the waveform. Joystick and encoder are exact: without dry friction and steps.
+
+Of the taps that stay in contact without vibration and without compensation, at most MAX_LOST_PART may have a second
+contact with `full`, and none a larger error than with `off`. Otherwise the run fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.core import EventKind, lib, pointer
+from hapticd.config.configuration import load_config
+from hapticd.config.materials import shipped_materials
+from hapticd.rendering.joystick import new_operator, new_sim
+from hapticd.rendering.offline import CompiledScene, Simulation
+
+Floats = npt.NDArray[np.float64]
+
+RATE_HZ: Final = 10_000.0
+FINER: Final = 16
+"""Parts of a period for which the acceleration is computed."""
+LEAD_S: Final = 0.1
+"""Time before the onset."""
+COMPARED_S: Final = 0.33
+"""Time from the onset that is compared."""
+SAMPLES: Final = 1 << 17
+METALS: Final = ("aluminum", "glass", "cast_iron", "steel")
+SHIPPED: Final = ("wood", "acrylic", "delrin", *METALS)
+MAX_LOST_PART: Final = 0.005
+MAX_KEPT_ERROR: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Tap:
+    """A random tap."""
+
+    material: dict[str, Any]
+    hand: tuple[float, float, float]
+    """Mass (kg), damping (N s/m) and stiffness (N/m)."""
+    speed_m_per_s: float
+    depth_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Displayed:
+    """A tap as it is displayed."""
+
+    contacts: int
+    error: float
+
+
+def random_tap(random: np.random.Generator) -> Tap:
+    """Return a tap of a shipped material, or of a mode between 40 and 400 Hz on 300 to 3000 N/m."""
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(random.uniform(math.log(low), math.log(high))))
+
+    if random.random() < 0.6:
+        shipped = shipped_materials()[SHIPPED[random.integers(len(SHIPPED))]].to_dict()
+        material = {key: shipped[key] for key in ("stiffness_n_per_m", "tap")}
+    else:
+        frequency_hz, decay_time_s = between(40, 400), between(0.001, 0.01)
+        w, b = 2 * math.pi * frequency_hz, 1 / decay_time_s
+        # The part of the approach speed that the tap turns round.
+        slope = float(random.uniform(0.05, 0.7)) * (w * w + b * b) / w
+        tap = {"frequency_hz": frequency_hz, "decay_time_s": decay_time_s, "attack_slope_per_s": slope}
+        material = {"stiffness_n_per_m": between(300, 3000), "tap": tap}
+    hand = (between(0.003, 0.03), between(1.5, 12), between(80, 800))
+    return Tap(material, hand, between(0.05, 0.5), between(0.0005, 0.02))
+
+
+def displayed(tap: Tap) -> tuple[int, Displayed, Displayed]:
+    """Return the contacts of a tap without vibration, and the tap with compensation `off` and `full`."""
+    mass, damping, stiffness = tap.hand
+    sim = {
+        "coulomb_friction_n": 0,
+        "encoder_step_m": 0,
+        "force_step_n": 0,
+        "max_force_n": 100,
+        "hand": {"mass_kg": mass, "damping_n_s_per_m": damping, "stiffness_n_per_m": stiffness},
+    }
+    still_s = LEAD_S + tap.depth_m / tap.speed_m_per_s
+    path = [[0, 0, tap.speed_m_per_s * LEAD_S], [still_s, 0, -tap.depth_m], [still_s + 1, 0, -tap.depth_m]]
+
+    def run(compensation: str, vibration: bool) -> tuple[Any, Floats]:
+        """Return the events of contact, and the handle's speed at FINER times in a period."""
+        scene = CompiledScene(
+            {
+                "servo": {"rate_hz": RATE_HZ},
+                "device": {"compensation": compensation, "sim": sim, "max_force_n": 100},
+                "materials": {"it": tap.material},
+                "scene": {
+                    "objects": {"wall": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "it"}},
+                    "display": {"force": True, "vibration": vibration},
+                },
+            }
+        )
+        samples, _, events = Simulation(scene, path).run(LEAD_S + COMPARED_S + 0.03)
+        again = new_sim(load_config({"device": {"sim": {**sim, "start_m": [0, 0]}}}).device.sim, RATE_HZ * FINER)
+        lib.hd_sim_operate(again, operator := new_operator(path, "linear"))
+        lib.hd_sim_settle(again)
+        force = np.ascontiguousarray(np.repeat(samples["force_n"], FINER, axis=0))
+        motion = np.empty((len(force), 4))
+        lib.hd_sim_drive(again, pointer("double[]", force), len(force), pointer("double[]", motion))
+        del operator
+        return events[events["kind"] == EventKind.CONTACT], motion[:, 3]
+
+    still, reference = run("off", False)
+    found = []
+    for compensation in ("off", "full"):
+        events, speed = run(compensation, True)
+        onset = events[0]
+        before = float(onset["before_tick_s"]) * RATE_HZ * FINER
+        first = int(onset["tick"]) * FINER - round(before)
+        count = round(COMPARED_S * RATE_HZ * FINER) - 1
+        moved = np.diff((speed - reference)[first : first + count + 1]) * RATE_HZ * FINER
+        mode = tap.material["tap"]
+        pole = complex(-1 / mode["decay_time_s"], 2 * math.pi * mode["frequency_hz"])
+        edges = (np.arange(count + 1) + before - round(before)) / (RATE_HZ * FINER)
+        wanted = float(onset["amplitude_m_per_s2"]) * np.diff((np.exp(pole * edges) / pole).imag) * RATE_HZ * FINER
+        lines = np.fft.rfftfreq(SAMPLES, 1 / (RATE_HZ * FINER))
+        band = (lines >= 30) & (lines <= 0.4 * RATE_HZ)
+        off, aim = (np.linalg.norm(np.fft.rfft(each, SAMPLES)[band]) for each in (moved - wanted, wanted))
+        found.append(Displayed(len(events), float(off / aim)))
+    return len(still), found[0], found[1]
+
+
+def run_all(count: int, seed: int, processes: int) -> tuple[int, int, int]:
+    """Run taps and print what they show; return the lost ones, those with a larger error, and the number of taps.
+
+    The three count the taps that stay in contact without vibration and without compensation.
+    """
+    random = np.random.default_rng(seed)
+    taps = [random_tap(random) for _ in range(count)]
+    with ProcessPoolExecutor(processes) as pool:
+        runs = list(zip(taps, pool.map(displayed, taps, chunksize=8), strict=True))
+    stay = [run for run in runs if run[1][0] == run[1][1].contacts == 1]
+    found = _print("in contact without vibration, and with off", stay)
+    _print("others: the handle bounces", [run for run in runs if not run[1][0] == run[1][1].contacts == 1])
+    return *found, len(stay)
+
+
+def _print(name: str, group: list[tuple[Tap, tuple[int, Displayed, Displayed]]]) -> tuple[int, int]:
+    """Print what a group of taps shows; return the number of lost taps, and of those with a larger error."""
+    if not group:
+        return 0, 0
+    lost = [run for run in group if run[1][2].contacts > run[1][1].contacts]
+    worse = [run for run in group if run[1][2].error > run[1][1].error * (1 + 1e-6)]
+    full, off = (np.array([run[1][which].error for run in group]) for which in (2, 1))
+    print(f"{name}: {len(group)} taps")
+    print(f"  more contacts with full than with off: {len(lost)}; larger error: {len(worse)}")
+    print(f"  error with off, %: median {100 * np.median(off):.1f}, largest {100 * off.max():.1f}")
+    print(
+        f"  error with full, %: median {100 * np.median(full):.1f}, largest {100 * full.max():.1f}; at most "
+        f"{100 * MAX_KEPT_ERROR:g} % in {100 * np.mean(full <= MAX_KEPT_ERROR):.0f} % of the taps"
+    )
+    worst = int((full / off).argmax())
+    print(f"  largest error with full over off: {full[worst] / off[worst]:.2f}, of {group[worst][0]}")
+    for run in lost[:5]:
+        print(f"  lost: {run[0]}")
+    return len(lost), len(worse)
+
+
+def main() -> None:
+    """Run the taps that the command line asks for."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--taps", type=int, default=2000)
+    options.add_argument("--seed", type=int, default=35)
+    options.add_argument("--processes", type=int, default=2)
+    chosen = options.parse_args()
+    lost, worse, count = run_all(chosen.taps, chosen.seed, chosen.processes)
+    raise SystemExit(1 if lost > MAX_LOST_PART * count or worse > 0 else 0)
+
+
+if __name__ == "__main__":
+    main()
