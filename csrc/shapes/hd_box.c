@@ -16,9 +16,9 @@ HD_RT static void to_box_axes(const struct hd_object *object, const double posit
     local[1] = hd_dot(offset, object->normal);
 }
 
-HD_RT static int inside(const struct hd_object *object, const double local[2]) {
-    return hd_magnitude(local[0]) < object->half_m[0] - HD_RIM_M &&
-           hd_magnitude(local[1]) < object->half_m[1] - HD_RIM_M;
+/* Whether a point is inside, more than `rim_m` below every face. */
+HD_RT static int inside(const struct hd_object *object, const double local[2], double rim_m) {
+    return hd_magnitude(local[0]) < object->half_m[0] - rim_m && hd_magnitude(local[1]) < object->half_m[1] - rim_m;
 }
 
 HD_RT static uint8_t face_of(int axis, int positive) {
@@ -57,27 +57,28 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
         return 1;
     }
     const double along = point->arc_m + hd_proxy_offset(proxy, slot, point->normal, position_m);
-    return hd_magnitude(along) > half_length(object, feature) + HD_RIM_M;
+    return hd_magnitude(along) > half_length(object, feature) + HD_FLUSH_M;
 }
 
-/* Whether the segment from a to b enters the box; finds the fraction of the segment and the face. Two faces are
- * possible only within the rim of a corner; then the one along whose normal the segment is longer is selected. */
-HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
-                        uint8_t *face) {
+/* Whether the segment from a to b enters the box; finds the fraction of the segment and the face. A face is met up to
+ * `beyond_m` past its end. Two faces are possible only within HD_SEAM_M of a corner; then the one along whose normal
+ * the segment is longer is selected. */
+HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double beyond_m,
+                        double *fraction, uint8_t *face) {
     double most = 0.0;
-    if (inside(object, a)) {
+    if (inside(object, a, HD_SEAM_M)) {
         return 0;
     }
     for (int axis = 0; axis < 2; axis++) {
         const double step = b[axis] - a[axis];
         const double length = hd_magnitude(step);
         const double gap = (step < 0.0 ? a[axis] : -a[axis]) - object->half_m[axis];
-        if (!(gap < length) || gap < -HD_RIM_M || length <= most) {
+        if (!(gap < length) || gap < -HD_SEAM_M || length <= most) {
             continue; /* the segment ends before the face, begins behind it, or is longer along the other axis */
         }
         const double cut = gap > 0.0 ? gap / length : 0.0;
         const double other = a[1 - axis] + cut * (b[1 - axis] - a[1 - axis]);
-        if (hd_magnitude(other) <= object->half_m[1 - axis] + HD_RIM_M) {
+        if (hd_magnitude(other) <= object->half_m[1 - axis] + beyond_m) {
             *fraction = cut;
             *face = face_of(axis, step < 0.0);
             most = length;
@@ -101,7 +102,7 @@ HD_RT static int stood_between(const struct hd_object *object, const double prox
     double cut;
     uint8_t entered;
     to_box_axes(object, proxy_m, local);
-    return enters(object, local, was, &cut, &entered) && entered == face;
+    return enters(object, local, was, HD_FLUSH_M, &cut, &entered) && entered == face;
 }
 
 /* Fills in the onset at the point `hit` of the face. Returns 0 if the face was reached along another surface and the
@@ -123,7 +124,7 @@ HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *
  * acts at once, from the face through which the probe enters. */
 HD_RT static int follows_proxy(const struct hd_proxy *proxy, const struct hd_object *object, const double from[2],
                                const double to[2], struct hd_onset *onset) {
-    if (!enters(object, from, to, &onset->fraction, &onset->feature.face)) {
+    if (!enters(object, from, to, HD_FLUSH_M, &onset->fraction, &onset->feature.face)) {
         return 0;
     }
     double hit[2];
@@ -136,7 +137,7 @@ HD_RT static int follows_proxy(const struct hd_proxy *proxy, const struct hd_obj
 /* Whether a box that appeared contains the probe; the nearest face is then in contact. */
 HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_object *object, const double to[2],
                                 struct hd_onset *onset) {
-    if (!inside(object, to)) {
+    if (!inside(object, to, HD_RIM_M)) {
         return 0;
     }
     onset->silent = 1;
@@ -154,23 +155,25 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     onset->feature = (struct hd_feature){.side = 1};
     onset->slid = 0;
     onset->stood = 0;
-    if (fresh || inside(object, from)) {
+    if (fresh || inside(object, from, HD_SEAM_M)) {
         return contains_probe(proxy, object, to, onset);
     }
     hd_proxy_sweep(proxy);
     for (uint32_t segment = 0; segment < proxy->segments; segment++) {
         const double *begin = proxy->point[segment];
         const double *end = proxy->point[segment + 1];
+        /* Along a pressed surface the proxy passes above the side of a flush box, whose end is at most as high. */
+        const double beyond_m = segment + 1 < proxy->segments ? -HD_RIM_M : HD_FLUSH_M;
         double a[2];
         double b[2];
         double cut;
         to_box_axes(object, begin, a);
         to_box_axes(object, end, b);
-        if (enters(object, a, b, &cut, &onset->feature.face)) {
+        if (enters(object, a, b, beyond_m, &cut, &onset->feature.face)) {
             uint8_t face;
             double straight;
             onset->silent = 0;
-            if (segment > 0 && enters(object, from, to, &straight, &face) && face == onset->feature.face) {
+            if (segment > 0 && enters(object, from, to, HD_FLUSH_M, &straight, &face) && face == onset->feature.face) {
                 cut = straight; /* the face lies below the pressed surface */
                 begin = proxy->from_m;
             } else {
@@ -189,8 +192,8 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
 HD_RT static int holds(const struct hd_object *object, const double point_m[2]) {
     double local[2];
     to_box_axes(object, point_m, local);
-    return hd_magnitude(local[0]) <= object->half_m[0] + HD_RIM_M &&
-           hd_magnitude(local[1]) <= object->half_m[1] + HD_RIM_M;
+    return hd_magnitude(local[0]) <= object->half_m[0] + HD_FLUSH_M &&
+           hd_magnitude(local[1]) <= object->half_m[1] + HD_FLUSH_M;
 }
 
 HD_RT static double distance(const struct hd_object *object, const double point_m[2]) {

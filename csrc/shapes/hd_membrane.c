@@ -51,7 +51,7 @@ HD_RT static int crosses(const struct hd_object *object, const double a[2], cons
         return 0;
     }
     *fraction = begin[1] / (begin[1] - end[1]);
-    return hd_magnitude(begin[0] + *fraction * (end[0] - begin[0])) <= object->half_m[0] + HD_RIM_M;
+    return hd_magnitude(begin[0] + *fraction * (end[0] - begin[0])) <= object->half_m[0] + HD_FLUSH_M;
 }
 
 HD_RT static double half_length(const struct hd_object *object, struct hd_feature feature) {
@@ -66,7 +66,7 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
         return 1;
     }
     const double along = point->arc_m + hd_proxy_offset(proxy, slot, object->normal, position_m);
-    return hd_magnitude(along) > object->half_m[0] + HD_RIM_M;
+    return hd_magnitude(along) > object->half_m[0] + HD_FLUSH_M;
 }
 
 HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {

@@ -2,9 +2,10 @@
 #include "shapes/hd_proxy.h"
 
 #include "base/hd_vector.h"
+#include "shapes/hd_shape.h"
 
-/* Height of the proxy above its surface: large enough to differ from a point on it, too small to be felt. */
-#define HD_PROXY_LIFT_M 1e-9
+/* Height of the proxy above its surface: it passes above the side of a flush solid. Too small to be felt. */
+#define HD_PROXY_LIFT_M HD_FLUSH_M
 #define HD_PROXY_ITERATIONS 3
 
 HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m[2], uint32_t slot,

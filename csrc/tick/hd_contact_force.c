@@ -213,14 +213,8 @@ HD_RT static inline struct hd_dominant_material find_surface(const struct hd_tab
                                                              const struct hd_object *object,
                                                              const struct hd_travel *travel, struct hd_slot *slot) {
     const double arc_m = travel->point.arc_m;
-    const double coefficient = slot->surface.friction_coefficient;
-    const double stiffness = slot->surface.friction_stiffness_n_per_m;
-    const struct hd_dominant_material dominant =
-        hd_surface_at(table, object, arc_m, travel->half_length_m, &slot->surface);
-    if (slot->seam > 0) {
-        hd_seam_ease(slot, arc_m, coefficient, stiffness);
-    }
-    return dominant;
+    return slot->seam > 0 ? hd_seam_ease(table, object, arc_m, slot)
+                          : hd_surface_at(table, object, arc_m, travel->half_length_m, &slot->surface);
 }
 
 /* Scales the geometry by `part`, 0 to 1; at 0 the anchor of friction follows the probe. */
@@ -287,12 +281,16 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         shape->lever(object, travel.point.depth_m, &round);
         lever = &round;
     }
-    const struct hd_dominant_material dominant = find_surface(context->table, object, &travel, slot);
+    const int left = has_left(context, index, object, context->proxy.to_m, &travel.point);
+    struct hd_dominant_material dominant = {NULL, 0.0};
+    if (!left || slot->seam == 0) { /* a ramp that has not ended goes on from here on the next surface */
+        dominant = find_surface(context->table, object, &travel, slot);
+    }
     if (lever != NULL && lever->fade < 1.0) {
         fade_geometry(slot, travel.point.arc_m, lever->fade);
     }
     const int grooves = has_grooves(context->table, object);
-    if (has_left(context, index, object, context->proxy.to_m, &travel.point)) {
+    if (left) {
         if (grooves) {
             travel.part = contact_part(slot, object, &travel.point);
             hd_grooves_pass(context, index, object, &travel);

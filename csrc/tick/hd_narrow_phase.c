@@ -69,6 +69,54 @@ HD_RT static int is_met(struct hd_context *context, const struct hd_object *obje
     return hd_shape_of(object)->meets(&context->proxy, object, fresh, onset);
 }
 
+/* Returns half the length of a surface; 0: it has no ends. */
+HD_RT static double half_length_of(const struct hd_object *object, struct hd_feature feature) {
+    const struct hd_shape_operations *shape = hd_shape_of(object);
+    return shape->half_length ? shape->half_length(object, feature) : 0.0;
+}
+
+/* Whether another solid lies in front of a face next to the end at which the path meets it: the face is hidden, and the
+ * path passes over the seam of two flush solids. `past_end`, out: direction from the face past that end. */
+HD_RT static int is_hidden(const struct hd_context *context, uint32_t index, const struct hd_object *object,
+                           const struct hd_onset *onset, double past_end[2]) {
+    const struct hd_state *state = context->state;
+    const double half_m = half_length_of(object, onset->feature);
+    if (half_m == 0.0 || hd_shape_of(object)->membrane || hd_magnitude(onset->point.arc_m) < half_m - HD_SEAM_M) {
+        return 0;
+    }
+    double front_m[2];
+    hd_tangent(onset->point.normal, past_end);
+    hd_between(context->proxy.from_m, context->proxy.to_m, onset->fraction, front_m);
+    for (int axis = 0; axis < 2; axis++) {
+        past_end[axis] *= onset->point.arc_m < 0.0 ? -1.0 : 1.0;
+        front_m[axis] += HD_SEAM_M * (onset->point.normal[axis] - past_end[axis]);
+    }
+    for (uint32_t i = 0; i < state->candidate_count; i++) {
+        const uint32_t slot = state->candidates[i].slot;
+        const struct hd_object *other = &context->table->objects[slot];
+        if (slot != index && other->shape != HD_SHAPE_NONE && hd_shape_of(other)->holds(other, front_m)) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* Tests the path again, shifted so far past the end of a hidden face that it meets the adjacent face or none. */
+HD_RT static int is_met_beside(struct hd_context *context, const struct hd_object *object, const double past_end[2],
+                               struct hd_onset *onset) {
+    struct hd_proxy *proxy = &context->proxy;
+    const struct hd_proxy before = *proxy;
+    for (int axis = 0; axis < 2; axis++) {
+        proxy->from_m[axis] += 2.0 * HD_SEAM_M * past_end[axis];
+        proxy->to_m[axis] += 2.0 * HD_SEAM_M * past_end[axis];
+    }
+    proxy->known = 0;
+    proxy->plane_count = 0;
+    const int met = is_met(context, object, 0, onset);
+    *proxy = before;
+    return met;
+}
+
 HD_RT static void begin_contact(struct hd_context *context, uint32_t index, const struct hd_object *object,
                                 const struct hd_onset *onset) {
     hd_contact_begin(context, index, object, onset);
@@ -86,6 +134,11 @@ HD_RT static void update_untouched(struct hd_context *context, uint32_t index, c
     }
     struct hd_onset onset;
     if (!(resumes && still_pressed(context, index, object, &onset)) && !is_met(context, object, fresh, &onset)) {
+        return;
+    }
+    double past_end[2];
+    if (!onset.silent && !onset.slid && is_hidden(context, index, object, &onset, past_end) &&
+        !is_met_beside(context, object, past_end, &onset)) {
         return;
     }
     if (onset.stood && hd_command_is_recent(context)) {
@@ -164,14 +217,17 @@ HD_RT static int is_continuation(const struct hd_context *context, const struct 
                                  const struct hd_onset *onset) {
     const struct hd_state *state = context->state;
     const struct hd_shape_operations *shape = hd_shape_of(object);
-    if (!shape->half_length ||
-        hd_magnitude(onset->point.arc_m) < shape->half_length(object, onset->feature) - HD_RIM_M) {
+    const double half_m = half_length_of(object, onset->feature);
+    if (half_m == 0.0 || hd_magnitude(onset->point.arc_m) < half_m - HD_SEAM_M) {
         return 0;
     }
     struct hd_contact_point point;
     shape->contact_point(object, onset->feature, onset->point.normal, NULL, context->input->position_m, &point);
     for (uint32_t i = 0; i < state->active_count; i++) {
-        if (hd_seam_is_flush(&point, &state->slots[state->active[i]].last)) {
+        const struct hd_slot *slot = &state->slots[state->active[i]];
+        const struct hd_object *other = &context->table->objects[state->active[i]];
+        const double reach_m = half_m + half_length_of(other, slot->feature);
+        if (hd_seam_is_flush(&point, &slot->last, reach_m)) {
             return 1;
         }
     }

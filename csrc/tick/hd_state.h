@@ -115,7 +115,7 @@ struct hd_slot {
     uint8_t resume;            /* the contact was cleared while it was pressed */
     uint8_t changed;           /* a command changed this contact: the force at the end of this tick fades in */
     uint8_t held;              /* the groove at `groove_m` was struck, and the probe has not been away from it since */
-    uint16_t seam;             /* ticks in which friction still blends from the earlier surface to this one */
+    uint16_t seam;             /* ticks in which the surface still blends from the earlier one to this one: hd_seam.h */
     double ramp;               /* of the contact force, 0 to 1: of a contact without onset that no command caused */
     double anchor_m;           /* s of the friction spring's anchor */
     double normal_n;           /* normal force at the last tick, without the ramp */

@@ -1,6 +1,6 @@
-"""Friction across seams: what holds the probe goes on where one surface touches the next.
+"""Seams: from one surface to the adjacent one the force goes on, and changes to another material over the ramp.
 
-The reference is the stop operator (Prandtl) over the whole way, which knows nothing of seams.
+The reference of friction is the stop operator (Prandtl) over the whole way, which knows nothing of seams.
 """
 
 from __future__ import annotations
@@ -22,7 +22,15 @@ MATERIALS: dict[str, object] = {
     "rough": {"stiffness_n_per_m": K, "friction": {"coefficient": MU, "stiffness_n_per_m": SPRING}},
     "stiff": {"stiffness_n_per_m": K, "friction": {"coefficient": 0.8, "stiffness_n_per_m": 1500}},
     "plain": {"stiffness_n_per_m": K},
+    "soft": {"stiffness_n_per_m": 300, "damping_n_s_per_m": 1.5},
+    "hard": {"stiffness_n_per_m": 1200},
+    "ridged": {
+        "stiffness_n_per_m": K,
+        "texture": {"kind": "grooves", "display": "geometry", "spacing_m": 0.005, "width_m": 0.002, "depth_m": 0.0004},
+    },
 }
+FLUSH_M = 1e-9
+"""Faces that differ by less are one surface (docs/stability.md)."""
 
 
 def turned(points: npt.ArrayLike, angle: float) -> Points:
@@ -81,6 +89,136 @@ def test_a_seam_of_one_material_is_not_there(makes: Sequence[Make], degrees: flo
     assert rig.kinds().count(EventKind.CONTACT) >= 6
     np.testing.assert_allclose(found[:, 1], K * depth, rtol=0, atol=1e-11)
     np.testing.assert_allclose(found[:, 0], -SPRING * stop(x, MU * K * depth / SPRING), rtol=0, atol=1e-11)
+
+
+NEAR = [(lip, gap) for lip in (-0.999, -0.01, 0.0, 0.5, 0.999) for gap in (-0.999, -0.01, 0.0, 0.5, 0.999)]
+"""Height of the second face over the first, and gap between their ends, nm."""
+
+
+def moved(item: dict[str, object], by: Points) -> dict[str, object]:
+    center = np.asarray(item["center_m"], dtype=np.float64) + by
+    return {**item, "center_m": center.tolist()}
+
+
+def crossings(rate_hz: float) -> Points:
+    """s over the seam at 0: to and fro, in steps of a tenth of a nanometre and back, at rest on it, and fast."""
+    t = np.arange(int(0.5 * rate_hz)) / rate_hz
+    swing = -0.0011 + 0.003 * np.sin(2 * np.pi * 4 * t) + 0.0007 * np.sin(60 * t)
+    creep = 1e-10 * np.concatenate([np.arange(-40, 41), np.arange(40, -41, -1)])
+    rests = np.repeat([0.0, 3e-10, -9e-10, 2e-9, -2e-9, 0.0], 20)
+    fast = np.tile([0.004, -0.004, 1e-9, -0.003, 0.0005], 10) if rate_hz <= 1000 else 3e-4 * (-1.0) ** np.arange(50)
+    return np.concatenate([swing, creep, rests, fast, rests])
+
+
+@pytest.mark.parametrize("makes", [(box, box), (skin, skin), (box, upside_down), (from_below, skin), (skin, box)])
+@pytest.mark.parametrize("rate_hz", [1000, 10_000])
+@pytest.mark.parametrize(("degrees", "away_m"), [(0.0, 0.0), (90.0, 0.05), (213.0, 9.9)])
+def test_faces_that_differ_by_less_than_a_nanometre_are_one_surface(
+    makes: Sequence[Make], rate_hz: float, degrees: float, away_m: float
+) -> None:
+    """In height, in the gap or the overlap of their ends: the force is that of one surface, at every depth."""
+    angle = np.radians(degrees)
+    origin = away_m * np.array([0.8, -0.6])
+    x = crossings(rate_hz)
+    depth = 10 ** np.interp(
+        np.arange(len(x)), np.linspace(0, len(x), 6), [-3, -2.7, -6, -8.9, -3, -2.7]
+    )  # 1.3 nm and more
+    friction = -SPRING * stop(x, MU * K * depth / SPRING)
+    path = turned(np.column_stack([x, -depth]), angle) + origin
+    velocity = np.zeros_like(path)  # so that no damping acts and no tap is struck
+    for lip, gap in NEAR:
+        beyond = moved(makes[1](0.01, angle, "rough"), turned(1e-9 * np.array([gap, lip]), angle))
+        objects = {"a": moved(makes[0](-0.01, angle, "rough"), origin), "b": moved(beyond, origin)}
+        rig = Rig(objects, rate_hz=rate_hz, materials=MATERIALS, device={"max_speed_m_per_s": 1000})
+        down = np.column_stack([np.full(30, x[0]), np.linspace(0.0005, -depth[0], 30)])
+        rig.render(turned(down, angle) + origin)
+        found = turned(rig.render(path, velocity)["contact_force_n"], -angle)
+        about = f"lip {lip} nm, gap {gap} nm"
+        np.testing.assert_allclose(found[:, 1], K * depth, rtol=0, atol=1.1 * K * FLUSH_M, err_msg=about)
+        np.testing.assert_allclose(found[:, 0], friction, rtol=0, atol=3 * SPRING * FLUSH_M, err_msg=about)
+
+
+@pytest.mark.parametrize("makes", [(box, box), (skin, skin), (skin, box)])
+@pytest.mark.parametrize("turn_rad", [4.9e-8, -4.9e-8])
+def test_faces_turned_by_less_than_a_nanometre_over_their_length_are_one_surface(
+    makes: Sequence[Make], turn_rad: float
+) -> None:
+    turning = moved(makes[1](0.0, turn_rad, "rough"), turned([0.01, 0.0], turn_rad))
+    objects = {"a": makes[0](-0.01, 0, "rough"), "b": turning}
+    rig = Rig(objects, materials=MATERIALS, device={"max_speed_m_per_s": 1000})
+    x = crossings(10_000)
+    press(rig, x[0], 0)
+    found = pushes(rig, x, 0.001, 0)
+    np.testing.assert_allclose(found[:, 1], K * 0.001, rtol=0, atol=1.1 * K * FLUSH_M)
+    np.testing.assert_allclose(
+        found[:, 0], -SPRING * stop(x, np.full(len(x), MU * K * 0.001 / SPRING)), rtol=0, atol=3 * SPRING * FLUSH_M
+    )
+
+
+def after_crossings(begin: float, targets: npt.NDArray[np.float64], ramp: int) -> Points:
+    """A value that moves in a straight line to each new target within `ramp` ticks, from where it is."""
+    found = np.empty(len(targets))
+    start, since, target = begin, ramp, targets[0]
+    for tick, new in enumerate(targets):
+        if new != target:
+            start, since, target = found[tick - 1], 0, new
+        since += 1
+        found[tick] = start + (target - start) * min(1.0, since / ramp)
+    return found
+
+
+@pytest.mark.parametrize("rate_hz", [1000, 10_000])
+@pytest.mark.parametrize("makes", [(box, box), (skin, box), (from_below, skin)])
+@pytest.mark.parametrize("degrees", [0.0, 213.0])
+@pytest.mark.parametrize("lip_m", [0.0, 9e-10])
+def test_the_normal_force_goes_over_to_another_stiffness_over_the_ramp(
+    rate_hz: float, makes: Sequence[Make], degrees: float, lip_m: float
+) -> None:
+    """F_n = K(t) d + D(t) v_n, both in a straight line from where they are: seams crossed while a ramp runs, back, to a
+    third material, and a probe that rests beyond one."""
+    angle = np.radians(degrees)
+    names = ["soft", "plain", "hard"]
+    objects = {
+        name: moved(makes[i % 2](0.02 * i, angle, name), turned([0.0, lip_m * i], angle))
+        for i, name in enumerate(names)
+    }
+    rig = Rig(objects, rate_hz=rate_hz, materials=MATERIALS, device={"max_speed_m_per_s": 1000})
+    ramp = round(RAMP_S * rate_hz)
+    speed = 0.02 / (2.4 * ramp)  # m a tick: a box lasts 2.4 ramps
+    turns = [0.008, 0.0104, 0.0095, 0.0122, 0.0325, 0.0281, 0.0304, 0.0302, 0.0301, 0.0301]  # seams at 10 and 30 mm
+    at = np.concatenate([[0.0], np.cumsum(np.maximum(np.abs(np.diff(turns)) / speed, 0.3 * ramp))])
+    x = np.interp(np.arange(int(at[-1]) + 2 * ramp), at, turns)
+    tick = np.arange(len(x))
+    depth = 0.001 + 0.0004 * np.sin(2 * np.pi * tick / (1.7 * ramp))
+    rate = -np.gradient(depth) * rate_hz
+    down = np.column_stack([np.full(30, x[0]), np.linspace(0.0005, -depth[0], 30)])
+    rig.render(turned(down, angle))
+    velocity = turned(np.column_stack([np.zeros(len(x)), rate]), angle)
+    found = turned(rig.render(turned(np.column_stack([x, -depth]), angle), velocity)["contact_force_n"], -angle)
+    where = np.searchsorted([0.01, 0.03], x, side="left")
+    stiffness = after_crossings(300.0, np.array([300.0, K, 1200.0])[where], ramp)
+    damping = after_crossings(1.5, np.array([1.5, 0.0, 0.0])[where], ramp)
+    # A seam to an equal damping begins no ramp of the damping: its target is the same.
+    np.testing.assert_allclose(found[:, 1], stiffness * depth - damping * rate, rtol=0, atol=1e-9 + 2 * 1200 * lip_m)
+    assert len(set(where)) == 3
+
+
+@pytest.mark.parametrize(("before", "after"), [("ridged", "plain"), ("plain", "ridged")])
+def test_a_surface_that_geometry_lowers_goes_over_without_a_step(before: str, after: str) -> None:
+    """A groove's middle lies on the seam: what the surface is lower there fades over the ramp."""
+    rig = Rig({"a": box(-0.01, 0, before), "b": box(0.01, 0, after)}, materials=MATERIALS)
+    x = -0.003 + 0.08 * np.arange(850) / 10_000
+    press(rig, x[0], 0)
+    found = pushes(rig, x, 0.001, 0)[:, 1]
+    from_middle = np.abs(x)
+    groove = np.where(from_middle < 0.001, 0.0002 * (1 + np.cos(np.pi * from_middle / 0.001)), 0.0)
+    seam = int(np.argmax(x > FLUSH_M))
+    fading = np.clip(1 - (np.arange(850) - seam + 1) / (RAMP_S * 10_000), 0, 1)
+    if before == "ridged":
+        lowering = np.where(np.arange(850) < seam, groove, groove[seam - 1] * fading)
+    else:
+        lowering = np.where(np.arange(850) < seam, 0.0, groove - groove[seam - 1] * fading)
+    np.testing.assert_allclose(found, K * (0.001 - lowering), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("before", "after"), [("rough", "stiff"), ("stiff", "rough")])
