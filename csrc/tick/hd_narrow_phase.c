@@ -75,8 +75,9 @@ HD_RT static double half_length_of(const struct hd_object *object, struct hd_fea
     return shape->half_length ? shape->half_length(object, feature) : 0.0;
 }
 
-/* Whether another solid lies in front of a face next to the end at which the path meets it: the face is hidden, and the
- * path passes over the seam of two flush solids. `past_end`, out: direction from the face past that end. */
+/* Whether another solid lies in front of a face next to the end at which a probe that presses nothing meets it: the
+ * face is hidden, and the path passes over the seam of two flush solids. `past_end`, out: direction from the face past
+ * that end. */
 HD_RT static int is_hidden(const struct hd_context *context, uint32_t index, const struct hd_object *object,
                            const struct hd_onset *onset, double past_end[2]) {
     const struct hd_state *state = context->state;
@@ -93,8 +94,11 @@ HD_RT static int is_hidden(const struct hd_context *context, uint32_t index, con
     }
     for (uint32_t i = 0; i < state->candidate_count; i++) {
         const uint32_t slot = state->candidates[i].slot;
+        if (slot == index || slot >= context->table->object_count) {
+            continue;
+        }
         const struct hd_object *other = &context->table->objects[slot];
-        if (slot != index && other->shape != HD_SHAPE_NONE && hd_shape_of(other)->holds(other, front_m)) {
+        if (other->shape != HD_SHAPE_NONE && hd_shape_of(other)->holds(other, front_m)) {
             return 1;
         }
     }
@@ -137,7 +141,7 @@ HD_RT static void update_untouched(struct hd_context *context, uint32_t index, c
         return;
     }
     double past_end[2];
-    if (!onset.silent && !onset.slid && is_hidden(context, index, object, &onset, past_end) &&
+    if (!onset.silent && context->proxy.plane_count == 0 && is_hidden(context, index, object, &onset, past_end) &&
         !is_met_beside(context, object, past_end, &onset)) {
         return;
     }

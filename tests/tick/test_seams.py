@@ -155,6 +155,28 @@ def test_faces_turned_by_less_than_a_nanometre_over_their_length_are_one_surface
     )
 
 
+@pytest.mark.parametrize("names", ["ab", "ba"])
+@pytest.mark.parametrize("degrees", [0.0, 213.0])
+@pytest.mark.parametrize("lip", [-0.9, 0.0, 0.9])
+def test_a_probe_that_presses_nothing_lands_on_the_floor_at_a_seam(names: str, degrees: float, lip: float) -> None:
+    """Straight through the seam, steep and flat, or within the nanometre above it: never into the side of a box."""
+    angle = np.radians(degrees)
+    for way in ([1e-4, -1e-4], [4e-4, -2e-5], [2e-5, -4e-4], [-1e-4, -1e-4], [4e-4, 0.0], [-4e-4, 0.0]):
+        for above in (0.0, 3e-10, 8e-10):
+            first = box(-0.01, angle, "plain")
+            second = moved(box(0.01, angle, "plain"), turned([0.0, 1e-9 * lip], angle))
+            rig = Rig(dict(zip(names, (first, second), strict=True)), materials=MATERIALS)
+            step = np.array(way)
+            path = np.array([0.0, above]) + step * np.arange(-5.5, 6)[:, None]
+            height = np.linspace(path[-1, 1], -0.002, 60)  # and then deeper, on the other side
+            path = np.vstack([path, np.column_stack([np.full(60, path[-1, 0] + step[0]), height])])
+            found = turned(rig.render(turned(path, angle))["contact_force_n"], -angle)
+            expected = K * np.maximum(0.0, -path[:, 1])
+            about = f"way {way}, {above} m above"
+            np.testing.assert_allclose(found[:, 0], 0.0, rtol=0, atol=1e-9, err_msg=about)
+            np.testing.assert_allclose(found[:, 1], expected, rtol=0, atol=5 * K * FLUSH_M, err_msg=about)
+
+
 def after_crossings(begin: float, targets: npt.NDArray[np.float64], ramp: int) -> Points:
     """A value that moves in a straight line to each new target within `ramp` ticks, from where it is."""
     found = np.empty(len(targets))
