@@ -56,8 +56,9 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
     if (!(point->depth_m > 0.0)) {
         return 1;
     }
-    const double along = point->arc_m + hd_proxy_offset(proxy, slot, point->normal, position_m);
-    return hd_magnitude(along) > half_length(object, feature) + HD_FLUSH_M;
+    const double offset = hd_proxy_offset(proxy, slot, point->normal, position_m);
+    return hd_magnitude(point->arc_m + offset) >
+           half_length(object, feature) + hd_reach_past_end(hd_is_displaced(offset));
 }
 
 /* Whether the segment from a to b enters the box; finds the fraction of the segment and the face. A face is met up to
@@ -162,8 +163,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     for (uint32_t segment = 0; segment < proxy->segments; segment++) {
         const double *begin = proxy->point[segment];
         const double *end = proxy->point[segment + 1];
-        /* Along a pressed surface the proxy passes above the side of a flush box, whose end is at most as high. */
-        const double beyond_m = segment + 1 < proxy->segments ? -HD_RIM_M : HD_FLUSH_M;
+        const double beyond_m = hd_reach_past_end(segment + 1 < proxy->segments);
         double a[2];
         double b[2];
         double cut;
