@@ -56,9 +56,9 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
     if (!(point->depth_m > 0.0)) {
         return 1;
     }
-    const double offset = hd_proxy_offset(proxy, slot, point->normal, position_m);
-    return hd_magnitude(point->arc_m + offset) >
-           half_length(object, feature) + hd_reach_past_end(hd_is_displaced(offset));
+    const double along = point->arc_m + hd_proxy_offset(proxy, slot, point->normal, position_m);
+    const int above = hd_proxy_is_above_end(proxy, slot, point->normal, along);
+    return hd_magnitude(along) > half_length(object, feature) + hd_reach_past_end(above);
 }
 
 /* Whether the segment from a to b enters the box; finds the fraction of the segment and the face. A face is met up to

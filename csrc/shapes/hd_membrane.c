@@ -65,8 +65,9 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
     if (!(point->depth_m >= 0.0)) {
         return 1;
     }
-    const double offset = hd_proxy_offset(proxy, slot, object->normal, position_m);
-    return hd_magnitude(point->arc_m + offset) > object->half_m[0] + hd_reach_past_end(hd_is_displaced(offset));
+    const double along = point->arc_m + hd_proxy_offset(proxy, slot, object->normal, position_m);
+    const int above = hd_proxy_is_above_end(proxy, slot, object->normal, along);
+    return hd_magnitude(along) > object->half_m[0] + hd_reach_past_end(above);
 }
 
 HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {

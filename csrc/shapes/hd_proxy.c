@@ -7,6 +7,7 @@
 /* Height of the proxy above its surface: it passes above the side of a flush solid. Too small to be felt. */
 #define HD_PROXY_LIFT_M HD_FLUSH_M
 #define HD_PROXY_ITERATIONS 3
+#define HD_FLUSH_SLOPE 1e-3 /* flush faces are turned by far less, the faces of a corner by more */
 
 HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m[2], uint32_t slot,
                            double projected_m[2]) {
@@ -49,6 +50,18 @@ HD_RT double hd_proxy_offset(const struct hd_proxy *proxy, uint32_t slot, const 
     hd_tangent(normal, tangent);
     hd_difference(projected_m, position_m, shift);
     return hd_dot(shift, tangent);
+}
+
+HD_RT int hd_proxy_is_above_end(const struct hd_proxy *proxy, uint32_t slot, const double normal[2], double arc_m) {
+    double past_end[2];
+    hd_tangent(normal, past_end);
+    for (uint32_t i = 0; i < proxy->plane_count; i++) {
+        const double rise = hd_dot(past_end, proxy->plane[i].normal);
+        if (proxy->plane[i].slot != slot && (arc_m < 0.0 ? -rise : rise) > HD_FLUSH_SLOPE) {
+            return 1;
+        }
+    }
+    return 0;
 }
 
 HD_RT const struct hd_proxy *hd_proxy_sweep(struct hd_proxy *proxy) {

@@ -47,5 +47,8 @@ HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m
  * normal, m; 0 if no other surface than that of `slot` is pressed. */
 HD_RT double hd_proxy_offset(const struct hd_proxy *proxy, uint32_t slot, const double normal[2],
                              const double position_m[2]);
+/* Whether the end of a face lies above a pressed surface other than that of `slot`. `arc_m`: s on the face, of the sign
+ * of that end. */
+HD_RT int hd_proxy_is_above_end(const struct hd_proxy *proxy, uint32_t slot, const double normal[2], double arc_m);
 
 #endif

@@ -55,16 +55,10 @@
  * HD_FLUSH_M past its end, and the two can overlap by HD_FLUSH_M. */
 #define HD_SEAM_M (2.0 * HD_FLUSH_M)
 
-/* Returns how far past its end a face is met or holds the probe, m. `above`: another pressed surface displaces the
- * proxy along the face, to HD_FLUSH_M above that surface. There it passes above the sides of solids that are flush with
- * it. */
+/* Returns how far past its end a face is met or holds the probe, m. `above`: the end lies above a pressed surface.
+ * There the proxy moves at HD_FLUSH_M, and passes above the sides of solids that are flush with that surface. */
 HD_RT static inline double hd_reach_past_end(int above) {
     return above ? -HD_RIM_M : HD_FLUSH_M;
-}
-
-/* Whether an offset of the proxy along a face (hd_proxy_offset) is more than that of a flush surface. */
-HD_RT static inline int hd_is_displaced(double offset_m) {
-    return offset_m > 0.5 * HD_FLUSH_M || offset_m < -0.5 * HD_FLUSH_M;
 }
 
 /* The position of the probe relative to a surface. */

@@ -177,6 +177,21 @@ def test_a_probe_that_presses_nothing_lands_on_the_floor_at_a_seam(names: str, d
             np.testing.assert_allclose(found[:, 1], expected, rtol=0, atol=5 * K * FLUSH_M, err_msg=about)
 
 
+@pytest.mark.parametrize("degrees", [0.0, 90.0, 213.0])
+def test_a_probe_that_lifts_off_over_a_seam_is_not_held_by_a_side(degrees: float) -> None:
+    """From 10 um deep to exactly the height of the floor, or a part of a nanometre above it, on the other box."""
+    angle = np.radians(degrees)
+    for height in (0.0, 2e-10, 9e-10):
+        rig = Rig({"a": box(-0.01, angle, "plain"), "b": box(0.01, angle, "plain")}, materials=MATERIALS)
+        x = np.array([-3e-5, -2e-5, 1e-5, 4e-5, 7e-5])
+        y = np.array([-1e-5, -1e-5, height, height, -1e-5])
+        press(rig, x[0], angle, 1e-5)
+        path = np.vstack([np.column_stack([x, y]), np.column_stack([-x, y])])
+        found = turned(rig.render(turned(path, angle))["contact_force_n"], -angle)
+        np.testing.assert_allclose(found[:, 0], 0.0, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found[:, 1], K * np.maximum(0.0, -path[:, 1]), rtol=0, atol=1e-9)
+
+
 def after_crossings(begin: float, targets: npt.NDArray[np.float64], ramp: int) -> Points:
     """A value that moves in a straight line to each new target within `ramp` ticks, from where it is."""
     found = np.empty(len(targets))
