@@ -61,10 +61,22 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
     return hd_magnitude(along) > half_length(object, feature) + hd_reach_past_end(above);
 }
 
-/* Whether the segment from a to b enters the box; finds the fraction of the segment and the face. A face is met up to
- * `beyond_m` past its end. Two faces are possible only within HD_SEAM_M of a corner; then the one along whose normal
- * the segment is longer is selected. */
-HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double beyond_m,
+/* How precisely a segment must enter. */
+struct rim {
+    double behind_m; /* distance behind a face at which a segment still begins in front of it */
+    double beyond_m; /* distance past the end of a face at which the face is still met */
+};
+
+/* Segments of the proxy: along pressed surfaces it passes above the sides of solids that are flush with them. From
+ * there down to the probe it meets the surface below, and so does a probe that presses nothing, between the ends of
+ * both. */
+static const struct rim ALONG_SURFACE = {HD_RIM_M, -HD_RIM_M};
+static const struct rim DOWN_TO_PROBE = {HD_RIM_M, HD_FLUSH_M};
+static const struct rim OF_PROBE = {HD_SEAM_M, HD_FLUSH_M};
+
+/* Whether the segment from a to b enters the box; finds the fraction of the segment and the face. Two faces are
+ * possible only within HD_SEAM_M of a corner; then the one along whose normal the segment is longer is selected. */
+HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], const struct rim *rim,
                         double *fraction, uint8_t *face) {
     double most = 0.0;
     if (inside(object, a, HD_SEAM_M)) {
@@ -74,12 +86,12 @@ HD_RT static int enters(const struct hd_object *object, const double a[2], const
         const double step = b[axis] - a[axis];
         const double length = hd_magnitude(step);
         const double gap = (step < 0.0 ? a[axis] : -a[axis]) - object->half_m[axis];
-        if (!(gap < length) || gap < -HD_SEAM_M || length <= most) {
+        if (!(gap < length) || gap < -rim->behind_m || length <= most) {
             continue; /* the segment ends before the face, begins behind it, or is longer along the other axis */
         }
         const double cut = gap > 0.0 ? gap / length : 0.0;
         const double other = a[1 - axis] + cut * (b[1 - axis] - a[1 - axis]);
-        if (hd_magnitude(other) <= object->half_m[1 - axis] + beyond_m) {
+        if (hd_magnitude(other) <= object->half_m[1 - axis] + rim->beyond_m) {
             *fraction = cut;
             *face = face_of(axis, step < 0.0);
             most = length;
@@ -103,7 +115,7 @@ HD_RT static int stood_between(const struct hd_object *object, const double prox
     double cut;
     uint8_t entered;
     to_box_axes(object, proxy_m, local);
-    return enters(object, local, was, HD_FLUSH_M, &cut, &entered) && entered == face;
+    return enters(object, local, was, &OF_PROBE, &cut, &entered) && entered == face;
 }
 
 /* Fills in the onset at the point `hit` of the face. Returns 0 if the face was reached along another surface and the
@@ -125,7 +137,7 @@ HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *
  * acts at once, from the face through which the probe enters. */
 HD_RT static int follows_proxy(const struct hd_proxy *proxy, const struct hd_object *object, const double from[2],
                                const double to[2], struct hd_onset *onset) {
-    if (!enters(object, from, to, HD_FLUSH_M, &onset->fraction, &onset->feature.face)) {
+    if (!enters(object, from, to, &OF_PROBE, &onset->fraction, &onset->feature.face)) {
         return 0;
     }
     double hit[2];
@@ -163,17 +175,17 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     for (uint32_t segment = 0; segment < proxy->segments; segment++) {
         const double *begin = proxy->point[segment];
         const double *end = proxy->point[segment + 1];
-        const double beyond_m = hd_reach_past_end(segment + 1 < proxy->segments);
+        const struct rim *rim = proxy->segments == 1 ? &OF_PROBE : segment == 0 ? &ALONG_SURFACE : &DOWN_TO_PROBE;
         double a[2];
         double b[2];
         double cut;
         to_box_axes(object, begin, a);
         to_box_axes(object, end, b);
-        if (enters(object, a, b, beyond_m, &cut, &onset->feature.face)) {
+        if (enters(object, a, b, rim, &cut, &onset->feature.face)) {
             uint8_t face;
             double straight;
             onset->silent = 0;
-            if (segment > 0 && enters(object, from, to, HD_FLUSH_M, &straight, &face) && face == onset->feature.face) {
+            if (segment > 0 && enters(object, from, to, &OF_PROBE, &straight, &face) && face == onset->feature.face) {
                 cut = straight; /* the face lies below the pressed surface */
                 begin = proxy->from_m;
             } else {

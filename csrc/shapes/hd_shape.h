@@ -106,7 +106,7 @@ struct hd_shape_operations {
      * which does not count among the pressed surfaces. NULL: it has left if it is not below the surface. */
     HD_RT int (*has_left)(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
                           struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point);
-    /* Whether a solid contains a point, including its rim (HD_RIM_M). */
+    /* Whether a solid contains a point, including its rim (boxes: HD_FLUSH_M, others: HD_RIM_M). */
     HD_RT int (*holds)(const struct hd_object *object, const double point_m[2]);
     /* Returns a lower bound of the distance of a point outside to the shape, m. */
     HD_RT double (*distance)(const struct hd_object *object, const double point_m[2]);

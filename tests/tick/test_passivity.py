@@ -400,8 +400,8 @@ RINGS = {
 
 @pytest.mark.parametrize(
     ("material", "limit_n"),
-    [({"stiffness_n_per_m": STIFFNESS}, 0.7), (RINGS, 1.05)],
-    ids=["a force beyond the limit", "vibration up to the limit"],
+    [({"stiffness_n_per_m": STIFFNESS}, 0.7), (RINGS, 1.05), (RINGS, 0.7)],
+    ids=["a force beyond the limit", "vibration up to the limit", "a force beyond the limit and vibration"],
 )
 def test_at_the_limit_control_changes_no_bit_where_it_does_not_act(material: dict[str, object], limit_n: float) -> None:
     """Pressed with 0.96 N in all and stroked, in a corner and over a disc."""

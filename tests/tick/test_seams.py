@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from hapticd.base.core import EventKind
+from hapticd.config.scene import TOUCHING_DISTANCE_M
 from tests.support.rig import Rig, still
 
 Points = npt.NDArray[np.float64]
@@ -29,8 +30,8 @@ MATERIALS: dict[str, object] = {
         "texture": {"kind": "grooves", "display": "geometry", "spacing_m": 0.005, "width_m": 0.002, "depth_m": 0.0004},
     },
 }
-FLUSH_M = 1e-9
-"""Faces that differ by less are one surface (docs/stability.md)."""
+FLUSH_M = TOUCHING_DISTANCE_M
+"""Faces of solids that differ by less are one surface, as patches of a wall are."""
 
 
 def turned(points: npt.ArrayLike, angle: float) -> Points:
@@ -92,7 +93,7 @@ def test_a_seam_of_one_material_is_not_there(makes: Sequence[Make], degrees: flo
 
 
 NEAR = [(lip, gap) for lip in (-0.999, -0.01, 0.0, 0.5, 0.999) for gap in (-0.999, -0.01, 0.0, 0.5, 0.999)]
-"""Height of the second face over the first, and gap between their ends, nm."""
+"""Height of the second face over the first, and gap between their ends, over FLUSH_M."""
 
 
 def moved(item: dict[str, object], by: Points) -> dict[str, object]:
@@ -126,14 +127,14 @@ def test_faces_that_differ_by_less_than_a_nanometre_are_one_surface(
     friction = -SPRING * stop(x, MU * K * depth / SPRING)
     path = turned(np.column_stack([x, -depth]), angle) + origin
     velocity = np.zeros_like(path)  # so that no damping acts and no tap is struck
-    for lip, gap in NEAR:
-        beyond = moved(makes[1](0.01, angle, "rough"), turned(1e-9 * np.array([gap, lip]), angle))
+    for lip, gap in (FLUSH_M * np.array(NEAR)).tolist():
+        beyond = moved(makes[1](0.01, angle, "rough"), turned([gap, lip], angle))
         objects = {"a": moved(makes[0](-0.01, angle, "rough"), origin), "b": moved(beyond, origin)}
         rig = Rig(objects, rate_hz=rate_hz, materials=MATERIALS, device={"max_speed_m_per_s": 1000})
         down = np.column_stack([np.full(30, x[0]), np.linspace(0.0005, -depth[0], 30)])
         rig.render(turned(down, angle) + origin)
         found = turned(rig.render(path, velocity)["contact_force_n"], -angle)
-        about = f"lip {lip} nm, gap {gap} nm"
+        about = f"lip {lip:g} m, gap {gap:g} m"
         np.testing.assert_allclose(found[:, 1], K * depth, rtol=0, atol=1.1 * K * FLUSH_M, err_msg=about)
         np.testing.assert_allclose(found[:, 0], friction, rtol=0, atol=3 * SPRING * FLUSH_M, err_msg=about)
 
@@ -190,6 +191,45 @@ def test_a_probe_that_lifts_off_over_a_seam_is_not_held_by_a_side(degrees: float
         found = turned(rig.render(turned(path, angle))["contact_force_n"], -angle)
         np.testing.assert_allclose(found[:, 0], 0.0, rtol=0, atol=1e-9)
         np.testing.assert_allclose(found[:, 1], K * np.maximum(0.0, -path[:, 1]), rtol=0, atol=1e-9)
+
+
+def test_faces_that_differ_by_more_than_a_nanometre_are_a_step_or_a_gap() -> None:
+    """At a step the side pushes with the way beyond it; past the end of a membrane, or over a gap, friction begins again.
+    A sample lies exactly on the seam."""
+    x = -0.004 + 0.2 * np.arange(300) / 10_000
+    above, apart = np.array([0.0, 1.01 * FLUSH_M]), np.array([1.01 * FLUSH_M, 0.0])
+    for make, by in ((box, above), (box, 100 * above), (box, apart), (skin, above), (skin, apart)):
+        rig = Rig({"a": make(-0.01, 0, "rough"), "b": moved(make(0.01, 0, "rough"), by)}, materials=MATERIALS)
+        press(rig, x[0], 0)
+        found = pushes(rig, x, 0.001, 0)[:, 0]
+        seam = int(np.argmax(x > 3 * FLUSH_M))
+        assert found[seam - 2] == pytest.approx(-MU * K * 0.001, abs=1e-12)
+        if make is box and by is not apart:
+            np.testing.assert_allclose(found[seam:], -K * x[seam:], rtol=0, atol=2 * K * FLUSH_M)
+        else:
+            assert abs(found[seam]) <= SPRING * 2.1e-5
+
+
+def test_no_way_over_seams_gives_more_than_the_stiffer_side_holds() -> None:
+    """Quasi-static ways without friction: each crossing to a stiffer surface gives at most what K grows by, times half
+    the square of the largest depth."""
+    rng = np.random.default_rng(11)
+    names = ["soft", "plain", "hard"]
+    for _ in range(20):
+        objects = {name: box(0.02 * (i - 1), 0, name) for i, name in enumerate(names)}
+        rig = Rig(objects, materials=MATERIALS, device={"max_speed_m_per_s": 1000})
+        t = np.linspace(0, 2 * np.pi, 6001)
+        x = rng.uniform(0.011, 0.02) * np.sin(rng.integers(1, 4) * t + rng.uniform(0, 6))
+        depth = 0.0012 + 0.001 * np.sin(rng.integers(1, 9) * t + rng.uniform(0, 6))
+        lift = np.linspace(-0.0005, depth[0], 3000)
+        path = np.column_stack(
+            [np.concatenate([np.full(3000, x[0]), x, np.full(3000, x[-1])]), -np.concatenate([lift, depth, lift[::-1]])]
+        )
+        force = rig.render(path, np.zeros_like(path))["contact_force_n"]
+        given = float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(path, axis=0)))
+        stiffness = np.array([300.0, K, 1200.0])[np.searchsorted([-0.01, 0.01], x)]
+        grown = np.maximum(0.0, np.diff(stiffness)).sum()
+        assert given <= grown * depth.max() ** 2 / 2 + 1e-7
 
 
 def after_crossings(begin: float, targets: npt.NDArray[np.float64], ramp: int) -> Points:
