@@ -57,8 +57,7 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
         return 1;
     }
     const double along = point->arc_m + hd_proxy_offset(proxy, slot, point->normal, position_m);
-    const int above = hd_proxy_is_above_end(proxy, slot, point->normal, along);
-    return hd_magnitude(along) > half_length(object, feature) + hd_reach_past_end(above);
+    return hd_proxy_is_past_end(proxy, slot, point->normal, along, hd_magnitude(along) - half_length(object, feature));
 }
 
 /* How precisely a segment must enter. */

@@ -66,8 +66,7 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
         return 1;
     }
     const double along = point->arc_m + hd_proxy_offset(proxy, slot, object->normal, position_m);
-    const int above = hd_proxy_is_above_end(proxy, slot, object->normal, along);
-    return hd_magnitude(along) > object->half_m[0] + hd_reach_past_end(above);
+    return hd_proxy_is_past_end(proxy, slot, object->normal, along, hd_magnitude(along) - object->half_m[0]);
 }
 
 HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {

@@ -2,7 +2,6 @@
 #include "shapes/hd_proxy.h"
 
 #include "base/hd_vector.h"
-#include "shapes/hd_shape.h"
 
 /* Height of the proxy above its surface: it passes above the side of a flush solid. Too small to be felt. */
 #define HD_PROXY_LIFT_M HD_FLUSH_M
@@ -52,12 +51,12 @@ HD_RT double hd_proxy_offset(const struct hd_proxy *proxy, uint32_t slot, const 
     return hd_dot(shift, tangent);
 }
 
-HD_RT int hd_proxy_is_above_end(const struct hd_proxy *proxy, uint32_t slot, const double normal[2], double arc_m) {
+HD_RT int hd_proxy_is_above_end(const struct hd_proxy *proxy, uint32_t slot, const double normal[2], double along_m) {
     double past_end[2];
     hd_tangent(normal, past_end);
     for (uint32_t i = 0; i < proxy->plane_count; i++) {
         const double rise = hd_dot(past_end, proxy->plane[i].normal);
-        if (proxy->plane[i].slot != slot && (arc_m < 0.0 ? -rise : rise) > HD_FLUSH_SLOPE) {
+        if (proxy->plane[i].slot != slot && (along_m < 0.0 ? -rise : rise) > HD_FLUSH_SLOPE) {
             return 1;
         }
     }

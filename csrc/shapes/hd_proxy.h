@@ -11,6 +11,17 @@
 #include "api/hd_core.h"
 #include "base/hd_rt.h"
 
+/* A point at most this far, in m, from the surface of a solid counts as on it. It is above the rounding of any
+ * reachable coordinate. */
+#define HD_RIM_M 1e-12
+/* Adjacent faces that differ by at most this, in m, are one surface: in height, in the gap or the overlap of their
+ * ends, and by their angle over the distance between their middles. A point at most this far past the end of a face
+ * counts as on it. It is far below the step of an encoder. */
+#define HD_FLUSH_M 1e-9
+/* A face can be met at most this far, in m, from its end while a flush one still holds the probe: the flush one reaches
+ * HD_FLUSH_M past its end, and the two can overlap by HD_FLUSH_M. */
+#define HD_SEAM_M (2.0 * HD_FLUSH_M)
+
 #define HD_PROXY_PLANES 16u /* largest number of surfaces that count as pressed; typically there are two or three */
 
 struct hd_proxy {
@@ -47,8 +58,15 @@ HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m
  * normal, m; 0 if no other surface than that of `slot` is pressed. */
 HD_RT double hd_proxy_offset(const struct hd_proxy *proxy, uint32_t slot, const double normal[2],
                              const double position_m[2]);
-/* Whether the end of a face lies above a pressed surface other than that of `slot`. `arc_m`: s on the face, of the sign
- * of that end. */
-HD_RT int hd_proxy_is_above_end(const struct hd_proxy *proxy, uint32_t slot, const double normal[2], double arc_m);
+/* Whether the end of a face lies above a pressed surface other than that of `slot`. `along_m`: s of the proxy on the
+ * face, of the sign of that end. */
+HD_RT int hd_proxy_is_above_end(const struct hd_proxy *proxy, uint32_t slot, const double normal[2], double along_m);
+
+/* Whether the proxy is past an end of a face, by `past_m`. A face holds it up to HD_FLUSH_M past its end, except at an
+ * end above a pressed surface: there the proxy moves at HD_FLUSH_M, and passes above the side of a flush solid. */
+HD_RT static inline int hd_proxy_is_past_end(const struct hd_proxy *proxy, uint32_t slot, const double normal[2],
+                                             double along_m, double past_m) {
+    return past_m > HD_FLUSH_M || (past_m > -HD_RIM_M && hd_proxy_is_above_end(proxy, slot, normal, along_m));
+}
 
 #endif

@@ -44,23 +44,6 @@
 #include "base/hd_vector.h"
 #include "shapes/hd_proxy.h"
 
-/* A point at most this far, in m, from the surface of a solid counts as on it. It is above the rounding of any
- * reachable coordinate. */
-#define HD_RIM_M 1e-12
-/* Adjacent faces that differ by at most this, in m, are one surface: in height, in the gap or the overlap of their
- * ends, and by their angle over the distance between their middles. A point at most this far past the end of a face
- * counts as on it. It is far below the step of an encoder. */
-#define HD_FLUSH_M 1e-9
-/* A face can be met at most this far, in m, from its end while a flush one still holds the probe: the flush one reaches
- * HD_FLUSH_M past its end, and the two can overlap by HD_FLUSH_M. */
-#define HD_SEAM_M (2.0 * HD_FLUSH_M)
-
-/* Returns how far past its end a face is met or holds the probe, m. `above`: the end lies above a pressed surface.
- * There the proxy moves at HD_FLUSH_M, and passes above the sides of solids that are flush with that surface. */
-HD_RT static inline double hd_reach_past_end(int above) {
-    return above ? -HD_RIM_M : HD_FLUSH_M;
-}
-
 /* The position of the probe relative to a surface. */
 struct hd_contact_point {
     double depth_m; /* below the surface */

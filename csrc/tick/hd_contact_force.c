@@ -207,16 +207,6 @@ HD_RT static void find_travel_around(struct hd_slot *slot, const struct hd_objec
     slot->anchor_m -= travel->jump_m;
 }
 
-/* Computes the surface properties at the contact point, directly in the slot: copying a struct that was just written
- * costs a third of the time of a contact. */
-HD_RT static inline struct hd_dominant_material find_surface(const struct hd_table *table,
-                                                             const struct hd_object *object,
-                                                             const struct hd_travel *travel, struct hd_slot *slot) {
-    const double arc_m = travel->point.arc_m;
-    return slot->seam > 0 ? hd_seam_ease(table, object, arc_m, slot)
-                          : hd_surface_at(table, object, arc_m, travel->half_length_m, &slot->surface);
-}
-
 /* Scales the geometry by `part`, 0 to 1; at 0 the anchor of friction follows the probe. */
 HD_RT static void fade_geometry(struct hd_slot *slot, double arc_m, double part) {
     slot->surface.lowering_m *= part;
@@ -281,22 +271,26 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         shape->lever(object, travel.point.depth_m, &round);
         lever = &round;
     }
-    const int left = has_left(context, index, object, context->proxy.to_m, &travel.point);
-    struct hd_dominant_material dominant = {NULL, 0.0};
-    if (!left || slot->seam == 0) { /* a ramp that has not ended goes on from here on the next surface */
-        dominant = find_surface(context->table, object, &travel, slot);
+    /* The surface properties are computed directly in the slot: copying a struct that was just written costs a third of
+     * the time of a contact. */
+    struct hd_dominant_material dominant;
+    if (slot->seam == 0) {
+        dominant = hd_surface_at(context->table, object, travel.point.arc_m, travel.half_length_m, &slot->surface);
     }
     if (lever != NULL && lever->fade < 1.0) {
         fade_geometry(slot, travel.point.arc_m, lever->fade);
     }
     const int grooves = has_grooves(context->table, object);
-    if (left) {
+    if (has_left(context, index, object, context->proxy.to_m, &travel.point)) {
         if (grooves) {
             travel.part = contact_part(slot, object, &travel.point);
             hd_grooves_pass(context, index, object, &travel);
         }
         release(context, index, object);
         return;
+    }
+    if (slot->seam > 0) { /* not before: the next surface continues the ramp from the properties of the last tick */
+        dominant = hd_seam_ease(context->table, object, travel.point.arc_m, slot);
     }
 
     double pressed_n[2];
