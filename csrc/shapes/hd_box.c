@@ -78,9 +78,6 @@ static const struct rim OF_PROBE = {HD_SEAM_M, HD_FLUSH_M};
 HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], const struct rim *rim,
                         double *fraction, uint8_t *face) {
     double most = 0.0;
-    if (inside(object, a, HD_SEAM_M)) {
-        return 0;
-    }
     for (int axis = 0; axis < 2; axis++) {
         const double step = b[axis] - a[axis];
         const double length = hd_magnitude(step);
