@@ -168,16 +168,20 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
         return contains_probe(proxy, object, to, onset);
     }
     hd_proxy_sweep(proxy);
+    double above[2][2]; /* the proxy before and after the tick */
+    const double *local[3] = {from, to, to};
+    if (proxy->segments > 1) {
+        to_box_axes(object, proxy->point[0], above[0]);
+        to_box_axes(object, proxy->point[1], above[1]);
+        local[0] = above[0];
+        local[1] = above[1];
+    }
     for (uint32_t segment = 0; segment < proxy->segments; segment++) {
         const double *begin = proxy->point[segment];
         const double *end = proxy->point[segment + 1];
         const struct rim *rim = proxy->segments == 1 ? &OF_PROBE : segment == 0 ? &ALONG_SURFACE : &DOWN_TO_PROBE;
-        double a[2];
-        double b[2];
         double cut;
-        to_box_axes(object, begin, a);
-        to_box_axes(object, end, b);
-        if (enters(object, a, b, rim, &cut, &onset->feature.face)) {
+        if (enters(object, local[segment], local[segment + 1], rim, &cut, &onset->feature.face)) {
             uint8_t face;
             double straight;
             onset->silent = 0;
