@@ -152,7 +152,8 @@ def _write(found: Found, folder: Path, on: str, complete: bool) -> list[Path]:
             "(interleaved) in one process, and ratios are taken round by round within one run. A cost is the median "
             "over the rounds, with the tenth to the ninetieth percentile in brackets. [Benchmarks](benchmarks.md) has "
             "the times of wake-ups, commands and scenes. The command at the end of a section repeats the section's "
-            "measurements; the time after it is what they took. Tests in `tests/` assert the errors of the core, with margins.",
+            "measurements; the time after it is what they took. Tests in `tests/` assert the errors of the core, with "
+            "margins.",
         ),
         SPEED: (
             "Benchmarks",

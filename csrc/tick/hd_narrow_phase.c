@@ -105,7 +105,8 @@ HD_RT static int is_hidden(const struct hd_context *context, uint32_t index, con
     return 0;
 }
 
-/* Tests the path again, shifted so far past the end of a hidden face that it meets the adjacent face or none. */
+/* Tests the path again, shifted by 2 HD_SEAM_M past the end of a hidden face: there it meets the adjacent face or none.
+ */
 HD_RT static int is_met_beside(struct hd_context *context, const struct hd_object *object, const double past_end[2],
                                struct hd_onset *onset) {
     struct hd_proxy *proxy = &context->proxy;

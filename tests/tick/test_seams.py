@@ -194,8 +194,8 @@ def test_a_probe_that_lifts_off_over_a_seam_is_not_held_by_a_side(degrees: float
 
 
 def test_faces_that_differ_by_more_than_a_nanometre_are_a_step_or_a_gap() -> None:
-    """At a step the side pushes with the way beyond it; past the end of a membrane, or over a gap, friction begins again.
-    A sample lies exactly on the seam."""
+    """At a step the side pushes with the way beyond it. Past the end of a membrane, or over a gap, friction begins
+    again. A sample lies exactly on the seam."""
     x = -0.004 + 0.2 * np.arange(300) / 10_000
     above, apart = np.array([0.0, 1.01 * FLUSH_M]), np.array([1.01 * FLUSH_M, 0.0])
     for make, by in ((box, above), (box, 100 * above), (box, apart), (skin, above), (skin, apart)):
