@@ -193,6 +193,26 @@ def test_a_probe_that_lifts_off_over_a_seam_is_not_held_by_a_side(degrees: float
         np.testing.assert_allclose(found[:, 1], K * np.maximum(0.0, -path[:, 1]), rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("end_m", [-FLUSH_M, 0.0, 0.99 * FLUSH_M])
+def test_a_membrane_that_ends_flush_with_a_floor_is_not_met(end_m: float) -> None:
+    """It stands in the floor. At a sample on it and beyond, only the floor pushes, and nothing is struck."""
+    floor = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "plain"}
+    tapping = {"stiffness_n_per_m": K, "tap": {"attack_slope_per_s": 60, "frequency_hz": 100, "decay_time_s": 0.01}}
+    upright = {
+        "kind": "membrane",
+        "center_m": [0, end_m - 0.01],
+        "normal": [1, 0],
+        "width_m": 0.02,
+        "material": "tapping",
+    }
+    rig = Rig({"w": floor, "m": upright}, materials={**MATERIALS, "tapping": tapping})
+    press(rig, -0.0003, 0)
+    x = -0.0003 + 2e-5 * np.arange(40)
+    samples = rig.render(np.column_stack([x, np.full(40, -0.001)]))
+    np.testing.assert_allclose(samples["contact_force_n"], np.tile([0, K * 0.001], (40, 1)), rtol=0, atol=1e-12)
+    assert not np.any(samples["vibration_force_n"])
+
+
 def test_faces_that_differ_by_more_than_a_nanometre_are_a_step_or_a_gap() -> None:
     """At a step the side pushes with the way beyond it. Past the end of a membrane, or over a gap, friction begins
     again. A sample lies exactly on the seam."""
