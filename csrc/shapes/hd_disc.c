@@ -7,12 +7,12 @@
  * the force has no step. It only moves to where K/2 (R - q)^2 is smaller, so no closed path gives energy.
  *
  * s is the arc length from the top, clockwise, in (-pi R, pi R]. It changes R/r times as fast as the position of a
- * probe at radius r, without bound near the centre. Forces that depend on s (friction, geometry) fade there: see
- * `lever`. */
+ * probe at radius r, without bound near the centre. Geometry, which depends on s, fades there: see `lever`. Friction
+ * does not depend on s. */
 #include "shapes/hd_shape.h"
 
 #define HD_DISC_TRAVEL_FACTOR 24.0
-/* Distances from the centre, in radii, above which forces that depend on s act in full, and below which they are zero.
+/* Distances from the centre, in radii, above which geometry acts in full, and below which it is zero.
  * A proxy that lags behind the probe has caught up before the probe is R HD_DISC_ZERO_RADII away from the centre, on
  * any path; the condition is sqrt(u^2 - 1) - arcsec u >= pi for u = HD_DISC_TRAVEL_FACTOR HD_DISC_ZERO_RADII. */
 #define HD_DISC_FULL_RADII 0.5

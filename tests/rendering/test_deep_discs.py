@@ -283,6 +283,20 @@ def test_a_trembling_hand_does_not_drift(close: float) -> None:
     np.testing.assert_allclose(force(rig, path)[1::2], np.tile(before, (1000, 1)), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("close", [0.9, 0.5])
+def test_a_probe_that_circles_while_it_sticks_stretches_the_spring_by_the_area_over_r(close: float) -> None:
+    """Friction is not the gradient of an energy of the place: a path around an area A returns with A/r more or less."""
+    rig = peg("rough")
+    force(rig, straight((0, 1.1 * RADIUS), (0, close * RADIUS), 1e-6))
+    turn = np.linspace(0, 2 * np.pi, 2001)
+    small = 0.2 * MU * K * (1 - close) * RADIUS / SPRING
+    path = np.column_stack([small * np.sin(turn), close * RADIUS - small * (1 - np.cos(turn))])
+    pushes = force(rig, path)
+    expected = went(np.hypot(*path.T), np.arctan2(path[:, 0], path[:, 1]))[-1]
+    assert pushes[-1, 0] == pytest.approx(-SPRING * expected, rel=1e-5)
+    assert abs(expected) == pytest.approx(np.pi * small**2 / (close * RADIUS - small), rel=0.05)
+
+
 def test_the_force_held_from_tick_to_tick_gives_no_more_than_its_stiffness_allows() -> None:
     """The hand gets at most S/2 times the square of each step, S the bound of the stability margin, at every depth.
 
