@@ -78,7 +78,7 @@ HD_RT static inline double compute_force(const struct hd_surface *surface, const
     force_n[0] = normal_n;
     if (lever != NULL) {
         if (lever->fade_per_m > 0.0) {
-            force_n[0] += lever->fade_per_m * elastic * surface->lowering_m / lever->fade;
+            force_n[0] += lever->fade_per_m * (elastic * surface->lowering_m / lever->fade);
         }
         slope_n *= lever->slide;
     }
