@@ -310,9 +310,12 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         find_travel_around(slot, object, &travel);
         shape->lever(object, travel.point.depth_m, &round);
         lever = &round;
-        const int met = fraction > 0.0;
-        move_anchor(slot, travel.point.arc_m,
-                    met ? offset_along(slot, object, context->proxy.to_m) : slid_around(context, slot, &travel, lever));
+        if (context->table->materials[object->material].friction_coefficient > 0.0) {
+            const int met = fraction > 0.0;
+            move_anchor(slot, travel.point.arc_m,
+                        met ? offset_along(slot, object, context->proxy.to_m)
+                            : slid_around(context, slot, &travel, lever));
+        }
     }
     const struct hd_dominant_material dominant = find_surface(context->table, object, &travel, slot);
     if (lever != NULL && lever->fade < 1.0) {

@@ -5,11 +5,16 @@ The energy of friction's spring depends on the path of the probe, so its bound i
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from bench.loops import Case, draw, settle
+from bench.stability import evaluated
 from hapticd.base.core import MATERIAL_DTYPE, Texture, records
+from hapticd.config.configuration import load_config
 from hapticd.rendering.disc_stiffness import round_properties
 from tests.support.rig import Rig
 
@@ -99,6 +104,46 @@ def test_no_step_on_a_rubbing_disc_gives_more_than_the_bound_allows() -> None:
         assert given <= allowed * (1 + 3 * float(np.hypot(*step)) / r)  # the terms of third order
         nearest = max(nearest, given / allowed)
     assert nearest > 0.9
+
+
+def at_its_margin(seed: int) -> Case | None:
+    """A loop with a disc that rubs, at 0.99 of the safe stiffness, and small enough to be pressed nearly to its centre.
+
+    None if the margin cannot be reached, because it does not scale with the stiffness.
+    """
+    rng = np.random.default_rng((61, seed))
+    case = draw(seed, ("disc",))
+    assert case is not None
+    source = deepcopy(case.source)
+    material, disc = source["materials"]["b"], source["scene"]["objects"]["disc"]
+    hand_n_per_m = source["device"]["sim"]["hand"]["stiffness_n_per_m"]
+    ratio, press_n = float(rng.uniform(0.3, 3)), float(rng.uniform(0.3, 1))
+    material["friction"] = {"coefficient": float(rng.uniform(0.1, 1.5)), "stiffness_n_per_m": 1.0}
+    factor = 1.0
+    for _ in range(8):
+        k = material["stiffness_n_per_m"] = float(np.clip(0.99 * factor * material["stiffness_n_per_m"], 0.1, 9e4))
+        material["friction"]["stiffness_n_per_m"] = min(9e4, ratio * k)
+        disc["radius_m"] = float(np.clip(rng.uniform(1.02, 1.5) * press_n / k, 1e-4, 0.1))
+        disc["center_m"] = [0, -disc["radius_m"]]
+        factor = float(evaluated(load_config(source)).factor.min())
+    if not (evaluated(load_config(source)).safe.all() and factor < 1.3):
+        return None
+    deep_m, radius_m = press_n * (1 / hand_n_per_m + 1 / k), disc["radius_m"]
+    waypoints = [[0.0, float(rng.uniform(-1, 1)) * radius_m, 0.005]]
+    for part in (1.0, 1.0, 0.3, 1.0):
+        along_m = float(rng.uniform(-1.5, 1.5)) * radius_m
+        waypoints.append([waypoints[-1][0] + float(rng.uniform(0.05, 0.3)), along_m, -part * deep_m])
+    source["device"]["sim"]["start_m"] = waypoints[0][1:]
+    return Case(seed, "disc", source, waypoints, factor)
+
+
+@pytest.mark.long
+def test_a_rubbing_disc_just_inside_its_margin_comes_to_rest() -> None:
+    """Random devices and hands: pressed deep, slid around the disc, partly out and in again."""
+    cases = [case for seed in range(50) if (case := at_its_margin(seed)) is not None]
+    assert len(cases) > 30
+    for case in cases:
+        assert settle(case, "observe", 120.0).rests, case.seed
 
 
 def test_a_disc_that_is_large_is_as_stiff_as_a_wall() -> None:
