@@ -10,18 +10,22 @@
 
 /* With more candidates the circle is made smaller, down to the needed radius. */
 #define HD_CANDIDATES_TARGET 16u
-/* Up to this number candidates are sorted by slot, so that the result does not depend on the order of the index. */
-#define HD_CANDIDATES_SORTED_MAX 64u
+/* Gaps of the Shell sort, each a little less than half of the one before. */
+static const uint32_t gaps[] = {4193, 1861, 827, 367, 163, 72, 32, 14, 6, 1};
 
+/* Sorts candidates by slot, so that contacts do not depend on the order of the index. */
 HD_RT static void sort_candidates(struct hd_candidate *candidates, uint32_t count) {
-    for (uint32_t i = 1; i < count; i++) {
-        const struct hd_candidate item = candidates[i];
-        uint32_t at = i;
-        while (at > 0 && candidates[at - 1].slot > item.slot) {
-            candidates[at] = candidates[at - 1];
-            at--;
+    for (uint32_t i = 0; i < sizeof gaps / sizeof gaps[0]; i++) {
+        const uint32_t gap = gaps[i];
+        for (uint32_t k = gap; k < count; k++) {
+            const struct hd_candidate item = candidates[k];
+            uint32_t at = k;
+            while (at >= gap && candidates[at - gap].slot > item.slot) {
+                candidates[at] = candidates[at - gap];
+                at -= gap;
+            }
+            candidates[at] = item;
         }
-        candidates[at] = item;
     }
 }
 
@@ -48,9 +52,7 @@ HD_RT void hd_broad_phase_query(struct hd_context *context, double needed_m) {
         }
         count = kept;
     }
-    if (count <= HD_CANDIDATES_SORTED_MAX) {
-        sort_candidates(state->candidates, count);
-    }
+    sort_candidates(state->candidates, count);
     state->candidate_count = count;
     state->candidates_radius_m = radius;
     state->candidates_center_m[0] = center[0];

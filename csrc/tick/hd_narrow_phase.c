@@ -26,21 +26,14 @@ HD_RT static void update_changed_contacts(struct hd_context *context) {
     }
 }
 
-/* Gives the proxy the surfaces that are pressed at the start of the tick, by slot: the order in which their contacts
- * began depends on other objects of the scene. */
+/* Gives the proxy the surfaces that are pressed at the start of the tick. */
 HD_RT static void begin_proxy(struct hd_context *context) {
     const struct hd_state *state = context->state;
-    struct hd_proxy *proxy = &context->proxy;
-    proxy->known = 0;
-    proxy->plane_count = 0;
+    context->proxy.known = 0;
+    context->proxy.plane_count = 0;
     for (uint32_t i = 0; i < state->active_count; i++) {
         const struct hd_contact_point *last = &state->slots[state->active[i]].last;
-        hd_proxy_press(proxy, state->active[i], last->depth_m, last->normal);
-        for (uint32_t at = proxy->plane_count; at-- > 1 && proxy->plane[at - 1].slot > proxy->plane[at].slot;) {
-            const struct hd_proxy_plane plane = proxy->plane[at];
-            proxy->plane[at] = proxy->plane[at - 1];
-            proxy->plane[at - 1] = plane;
-        }
+        hd_proxy_press(&context->proxy, state->active[i], last->depth_m, last->normal);
     }
 }
 
@@ -185,12 +178,6 @@ HD_RT static int is_continuation(const struct hd_context *context, const struct 
     return 0;
 }
 
-/* Whether an onset comes before another one; of two at the same time, the one of the lower slot. */
-HD_RT static int is_earlier(const struct hd_onset *onset, uint32_t slot, const struct hd_onset *other,
-                            uint32_t other_slot) {
-    return onset->fraction < other->fraction || (onset->fraction == other->fraction && slot < other_slot);
-}
-
 /* Begins the noted contacts in the order of their onsets. */
 HD_RT static void begin_contacts_in_order(struct hd_context *context) {
     const struct hd_object *objects = context->table->objects;
@@ -204,8 +191,7 @@ HD_RT static void begin_contacts_in_order(struct hd_context *context) {
     for (uint32_t done = 0; done < count; done++) {
         uint32_t first = count;
         for (uint32_t i = 0; i < count; i++) {
-            if (slots[i] != HD_NO_SLOT &&
-                (first == count || is_earlier(&onsets[i], slots[i], &onsets[first], slots[first]))) {
+            if (slots[i] != HD_NO_SLOT && (first == count || onsets[i].fraction < onsets[first].fraction)) {
                 first = i;
             }
         }

@@ -134,7 +134,7 @@ def test_jumps_and_stalls_are_met_as_with_few() -> None:
 
 
 def test_where_several_surfaces_are_pressed_the_proxy_meets_the_same_with_few_and_with_many() -> None:
-    """The candidates of a crowd are not sorted, so contacts that begin in one tick came in another order.
+    """The candidates of a crowd were not sorted, so contacts that begin in one tick came in another order.
 
     The path of the proxy depends on the order of the pressed surfaces.
     """
