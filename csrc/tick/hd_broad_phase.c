@@ -10,10 +10,10 @@
 
 /* With more candidates the circle is made smaller, down to the needed radius. */
 #define HD_CANDIDATES_TARGET 16u
+
 /* Gaps of the Shell sort, each a little less than half of the one before. */
 static const uint32_t gaps[] = {4193, 1861, 827, 367, 163, 72, 32, 14, 6, 1};
 
-/* Sorts candidates by slot, so that contacts do not depend on the order of the index. */
 HD_RT static void sort_candidates(struct hd_candidate *candidates, uint32_t count) {
     for (uint32_t i = 0; i < sizeof gaps / sizeof gaps[0]; i++) {
         const uint32_t gap = gaps[i];
@@ -26,6 +26,23 @@ HD_RT static void sort_candidates(struct hd_candidate *candidates, uint32_t coun
             }
             candidates[at] = item;
         }
+    }
+}
+
+HD_RT void hd_broad_phase_gather(struct hd_state *state, double reach_m) {
+    struct hd_candidate *candidates = state->candidates;
+    uint32_t near = 0;
+    int sorted = 1;
+    for (uint32_t i = 0; i < state->candidate_count; i++) {
+        if (candidates[i].distance_m <= reach_m) {
+            const struct hd_candidate item = candidates[i];
+            sorted &= near == 0 || candidates[near - 1].slot < item.slot;
+            candidates[i] = candidates[near];
+            candidates[near++] = item;
+        }
+    }
+    if (!sorted) {
+        sort_candidates(candidates, near);
     }
 }
 
@@ -52,7 +69,9 @@ HD_RT void hd_broad_phase_query(struct hd_context *context, double needed_m) {
         }
         count = kept;
     }
-    sort_candidates(state->candidates, count);
+    if (count <= HD_CANDIDATES_SORTED_MAX) {
+        sort_candidates(state->candidates, count);
+    }
     state->candidate_count = count;
     state->candidates_radius_m = radius;
     state->candidates_center_m[0] = center[0];
