@@ -67,11 +67,10 @@ struct hd_onset {
     struct hd_feature feature;
 };
 
-/* On a curved surface: ratio of the motion along the surface to that of the probe, and gain of forces that depend on s.
- */
+/* On a curved surface: ratio of the motion along the surface to that of the probe, and gain of geometry. */
 struct hd_lever {
     double slide;      /* change of s over motion of the probe along the tangent */
-    double fade;       /* gain of the friction spring and of geometry, 0 to 1 */
+    double fade;       /* gain of geometry, 0 to 1; 0: the normal may lag behind the probe */
     double fade_per_m; /* derivative of `fade` by the distance from the centre */
 };
 

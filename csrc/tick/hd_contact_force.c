@@ -6,11 +6,15 @@
  * v_n = -v.n, v_t = v.t; see hd_surface.h for K, H and their slopes, hd_friction.h for friction. Vibration (grooves,
  * noise) is added to this force and does not depend on whether it is displayed.
  *
- * On a disc of radius R a probe at radius r moves by r/R of the change of s, so there the first three terms of F_t are
- * multiplied by R/r. Deep in the disc geometry and friction fade with g(r), from 1 to 0 (hd_shape.h: lever). The stored
- * energy is
- *     U = K/2 (d - g H)^2 + g k/2 (s - anchor)^2
- * and the force is its gradient, so that g' (K e H - k/2 (s - anchor)^2) along n is added to F_n. */
+ * On a disc of radius R a probe at radius r moves by r/R of the change of s, so there the first two terms of F_t are
+ * multiplied by R/r. Deep in the disc geometry fades with g(r), from 1 to 0 (hd_shape.h: lever). Its energy is
+ *     U = K/2 (d - g H)^2
+ * and the force is the gradient of U, so that g' K e H along n is added to F_n.
+ *
+ * Friction acts where the probe is: the stretch z of its spring changes by the probe's own motion along the tangent,
+ * not by the change of s. So on a disc, too, k is the stiffness along the surface and mu F_n the largest friction, and
+ * the power -F_t v_t is that of the stored energy k/2 z^2. On a round surface z = s - anchor holds as well: the anchor
+ * takes up the difference between the two motions. */
 #include "tick/hd_contact_force.h"
 
 #include <math.h>
@@ -27,10 +31,9 @@
 #define HD_PI 3.14159265358979323846
 #define HD_UNBOUNDED 1e300 /* half-length, in m, of a surface that is not round */
 
-/* Whether the force on an object depends on s. */
+/* Whether the force on a round object depends on s. */
 HD_RT static int needs_arc_length(const struct hd_table *table, const struct hd_object *object) {
-    const struct hd_material *material = &table->materials[object->material];
-    return material->friction_coefficient > 0.0 || material->texture != HD_TEXTURE_NONE;
+    return table->materials[object->material].texture != HD_TEXTURE_NONE;
 }
 
 /* Finds the contact point of the probe. `met`: the contact began in this tick. */
@@ -71,15 +74,13 @@ HD_RT static inline double compute_force(const struct hd_surface *surface, const
         slope_n = elastic * surface->lowering_slope - 0.5 * surface->stiffness_slope * depth * depth;
     }
     const double drag_n = -surface->drag_n_s_per_m * hd_dot(velocity, tangent);
-    double spring_n = hd_friction(surface, normal_n, point->arc_m, anchor_m);
+    const double spring_n = hd_friction(surface, normal_n, point->arc_m, anchor_m);
     force_n[0] = normal_n;
     if (lever != NULL) {
         if (lever->fade_per_m > 0.0) {
-            const double stored = 0.5 * spring_n * (point->arc_m - *anchor_m); /* below 0 */
-            force_n[0] += lever->fade_per_m * (elastic * surface->lowering_m / lever->fade + stored);
+            force_n[0] += lever->fade_per_m * (elastic * surface->lowering_m / lever->fade);
         }
         slope_n *= lever->slide;
-        spring_n *= lever->slide * lever->fade;
     }
     force_n[1] = drag_n + slope_n + spring_n;
     return normal_n;
@@ -125,6 +126,22 @@ HD_RT void hd_contact_force_drop(struct hd_context *context, uint32_t index) {
     hd_contact_end(context->state, index, context->input->time_ns);
 }
 
+/* Returns the distance, along the last tangent, of a point from the line through the centre and the last contact point
+ * on the rim: how far a probe from that line went along the surface. */
+HD_RT static double offset_along(const struct hd_slot *slot, const struct hd_object *object, const double point_m[2]) {
+    double offset[2];
+    double tangent[2];
+    hd_difference(point_m, object->point_m, offset);
+    hd_tangent_of(slot, slot->last.normal, tangent);
+    return hd_dot(offset, tangent);
+}
+
+/* Moves the anchor on a round surface whose contact point goes to `arc_m`, so that the spring's stretch changes by
+ * `slid_m`, the motion of the probe along the surface. */
+HD_RT static void move_anchor(struct hd_slot *slot, double arc_m, double slid_m) {
+    slot->anchor_m += arc_m - slot->last.arc_m - slid_m;
+}
+
 HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, const struct hd_object *object) {
     struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
@@ -144,15 +161,12 @@ HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, c
     slot->changed = 1;
     slot->pose_version = object->pose_version;
     slot->surface_version = object->surface_version;
+    if (round) {
+        move_anchor(slot, point.arc_m, moved ? offset_along(slot, object, context->proxy.from_m) : 0.0);
+    }
     slot->last = point;
     if (!(slot->surface.friction_coefficient > 0.0)) {
         slot->anchor_m = point.arc_m;
-    } else if (round) {
-        const double round_m = 2.0 * HD_PI * object->half_m[0];
-        const double stretch = point.arc_m - slot->anchor_m;
-        HD_RT_FOREIGN_BEGIN
-        slot->anchor_m += round_m * rint(stretch / round_m); /* s is periodic */
-        HD_RT_FOREIGN_END
     }
 }
 
@@ -198,22 +212,32 @@ HD_RT static void release(struct hd_context *context, uint32_t index, const stru
     hd_contact_end(context->state, index, context->input->time_ns);
 }
 
-/* Fills in the travel along a round surface. At the bottom s jumps by the circumference; the anchor jumps with it. */
-HD_RT static void find_travel_around(struct hd_slot *slot, const struct hd_object *object, struct hd_travel *travel) {
+/* Fills in the travel along a round surface. At the bottom s jumps by the circumference. */
+HD_RT static void find_travel_around(const struct hd_slot *slot, const struct hd_object *object,
+                                     struct hd_travel *travel) {
     const double half_length_m = HD_PI * object->half_m[0];
     const double step = travel->point.arc_m - slot->last.arc_m;
     travel->half_length_m = half_length_m;
     travel->jump_m = step > half_length_m ? -2.0 * half_length_m : step < -half_length_m ? 2.0 * half_length_m : 0.0;
-    slot->anchor_m -= travel->jump_m;
 }
 
-/* Scales the geometry by `part`, 0 to 1; at 0 the anchor of friction follows the probe. */
-HD_RT static void fade_geometry(struct hd_slot *slot, double arc_m, double part) {
+/* Returns the motion of the probe along a round surface in this tick. Along the mean of the last tangent and this one a
+ * path to and fro sums up to 0. In the middle, where the bearing turns faster than the probe goes round, the last
+ * tangent alone counts: the turn itself must not stretch the spring. */
+HD_RT static double slid_around(const struct hd_context *context, const struct hd_slot *slot,
+                                const struct hd_travel *travel, const struct hd_lever *lever) {
+    double step[2];
+    double tangent[2];
+    hd_difference(context->proxy.to_m, context->proxy.from_m, step);
+    hd_tangent_of(slot, slot->last.normal, tangent);
+    const double along = hd_dot(step, tangent);
+    return lever->fade > 0.0 ? 0.5 * (along + hd_dot(step, travel->tangent)) : along;
+}
+
+/* Scales the geometry by `part`, 0 to 1. */
+HD_RT static void fade_geometry(struct hd_slot *slot, double part) {
     slot->surface.lowering_m *= part;
     slot->surface.lowering_slope *= part;
-    if (!(part > 0.0)) {
-        slot->anchor_m = arc_m;
-    }
 }
 
 /* Adds the force of this contact, given along normal and tangent, to the sum. */
@@ -270,6 +294,12 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         find_travel_around(slot, object, &travel);
         shape->lever(object, travel.point.depth_m, &round);
         lever = &round;
+        if (context->table->materials[object->material].friction_coefficient > 0.0) {
+            const int met = fraction > 0.0;
+            move_anchor(slot, travel.point.arc_m,
+                        met ? offset_along(slot, object, context->proxy.to_m)
+                            : slid_around(context, slot, &travel, lever));
+        }
     }
     /* The surface properties are computed directly in the slot: copying a struct that was just written costs a third of
      * the time of a contact. */
@@ -278,7 +308,7 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         dominant = hd_surface_at(context->table, object, travel.point.arc_m, travel.half_length_m, &slot->surface);
     }
     if (lever != NULL && lever->fade < 1.0) {
-        fade_geometry(slot, travel.point.arc_m, lever->fade);
+        fade_geometry(slot, lever->fade);
     }
     const int grooves = has_grooves(context->table, object);
     if (has_left(context, index, object, context->proxy.to_m, &travel.point)) {

@@ -290,6 +290,9 @@ HD_RT void hd_narrow_phase(struct hd_context *context) {
     }
     begin_proxy(context);
     const double reach_m = hd_broad_phase(context);
+    if (state->candidate_count > HD_CANDIDATES_SORTED_MAX) {
+        hd_broad_phase_gather(state, reach_m);
+    }
     for (uint32_t i = 0; i < state->candidate_count; i++) {
         if (state->candidates[i].distance_m <= reach_m) {
             update_object(context, state->candidates[i].slot);
