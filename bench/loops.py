@@ -30,8 +30,9 @@ from hapticd.rendering.end_state import EndState, end_state
 from hapticd.rendering.offline import CompiledScene, Simulation
 from hapticd.sweeps.measures.energy import given_j
 
-Kind: TypeAlias = Literal["wall", "texture", "patches", "corner", "seam", "disc", "mixed"]
-KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+Kind: TypeAlias = Literal["wall", "texture", "patches", "corner", "seam", "disc", "mixed", "overlap"]
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)[:-1]
+"""Kinds that are drawn by default; `overlap` is drawn on request, with harder presses."""
 Mode: TypeAlias = Literal["observe", "control"]
 Tree: TypeAlias = dict[str, Any]
 
@@ -139,8 +140,43 @@ class Drawer:
             material["tap"] = {"attack_slope_per_s": self.log(10, 300), "frequency_hz": 100, "decay_time_s": 0.01}
         return material
 
+    def overlapping(self) -> Tree:
+        """Return two to five plain objects whose middles lie near the origin."""
+        found: Tree = {}
+        for name in "vwxyz"[: int(self._random.integers(2, 6))]:
+            at_m = [self.between(-0.006, 0.006), self.between(-0.006, 0.006)]
+            turn = self.between(-math.pi, math.pi)
+            normal = [-math.sin(turn), math.cos(turn)]
+            material = "abc"[int(self._random.integers(3))]
+            share = self.between(0.0, 1.0)
+            if share < 0.65:
+                size = [self.log(0.001, 0.02), self.log(0.001, 0.02)]
+                place = {"kind": "box", "center_m": at_m, "size_m": size, "angle_rad": turn}
+            elif share < 0.85:
+                place = {"kind": "disc", "center_m": at_m, "radius_m": self.log(0.001, 0.01)}
+            elif share < 0.93:
+                place = {"kind": "wall", "point_m": at_m, "normal": normal}
+            else:
+                place = {"kind": "membrane", "center_m": at_m, "normal": normal, "width_m": self.log(0.002, 0.02)}
+            found[name] = {**place, "material": material}
+        return found
+
+    def presses(self, stiffness_n_per_m: float) -> list[list[float]]:
+        """Return waypoints of a hand that presses several times with 0.5 to 9 N near the origin."""
+        points: list[list[float]] = []
+        for _ in range(int(self._random.integers(1, 4))):
+            turn, press_m = self.between(-math.pi, math.pi), self.log(0.5, 9.0) / stiffness_n_per_m
+            inward = [math.cos(turn), math.sin(turn)]
+            at_m = [self.between(-0.006, 0.006), self.between(-0.006, 0.006)]
+            for along_m in (-0.03, press_m):
+                time_s = points[-1][0] + self.between(0.05, 0.3) if points else 0.0
+                points.append([time_s, *(at_m[axis] + along_m * inward[axis] for axis in (0, 1))])
+        return points
+
     def objects(self, kind: Kind) -> Tree:
         """Return the objects of a scene with its top at y = 0, near x = 0."""
+        if kind == "overlap":
+            return self.overlapping()
         floor = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "a"}
         if kind == "patches":
             cuts = sorted(self.between(-0.015, 0.015) for _ in range(3))
@@ -210,8 +246,8 @@ def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
     for _ in range(MAX_SCENES):
         rate_hz = drawer.log(1000.0, 10_000.0)
         sim = drawer.device(rate_hz)
-        textured = kind not in ("wall", "corner")
-        limit_n = 8.9 if drawer.chance(0.5) else drawer.log(1.0, 8.9)
+        textured = kind not in ("wall", "corner", "overlap")
+        limit_n = 20.0 if kind == "overlap" else 8.9 if drawer.chance(0.5) else drawer.log(1.0, 8.9)
         source: Tree = {
             "servo": {"rate_hz": rate_hz},
             "device": {"max_force_n": limit_n, "sim": sim},
@@ -219,11 +255,14 @@ def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
             "scene": {"objects": drawer.objects(kind)},
         }
         # The margin of flanks and ramps between materials assumes at most 1 N, so the hand presses with at most 1 N.
-        press_m = drawer.between(0.2, 1.0) / sim["hand"]["stiffness_n_per_m"]
-        waypoints = drawer.waypoints(kind, press_m)
+        hand_n_per_m = sim["hand"]["stiffness_n_per_m"]
+        if kind == "overlap":
+            waypoints = drawer.presses(hand_n_per_m)
+        else:
+            waypoints = drawer.waypoints(kind, drawer.between(0.2, 1.0) / hand_n_per_m)
         sim["start_m"] = waypoints[0][1:]
         source = _scaled(source, 100.0)
-        fraction = drawer.between(0.3, 1.0)
+        fraction = drawer.between(0.9 if kind == "overlap" else 0.3, 1.0)
         for _ in range(3):  # repeated, since some margins do not scale with stiffness
             sets = evaluated(load_config(source))
             factor = float(sets.factor.min())

@@ -56,7 +56,8 @@ HD_RT static void begin_touch(struct hd_context *context, uint32_t index, const 
     slot->changed = onset->silent && !context->resync && hd_command_is_recent(context);
     state->change.whole |= slot->changed;
     /* While the command is off, the contact needs no separate ramp: the ramp of the command covers it. */
-    slot->ramp = onset->silent && !slot->changed && state->gain > 0.0 ? 0.0 : 1.0;
+    slot->offset_m = slot->changed || context->resync ? 0.0 : onset->below_m;
+    slot->ramp = onset->silent && !slot->changed && state->gain > 0.0 && slot->offset_m == 0.0 ? 0.0 : 1.0;
     slot->anchor_m = onset->point.arc_m;
     slot->seam = 0;
     if (onset->slid && !onset->silent) {

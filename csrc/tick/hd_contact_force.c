@@ -98,6 +98,7 @@ HD_RT static void compute_unchanged_force(const struct hd_context *context, cons
     }
     struct hd_contact_point point = slot->last;
     struct hd_surface surface = slot->surface;
+    point.depth_m -= slot->offset_m;
     double tangent[2];
     double before[2];
     double after[2];
@@ -301,6 +302,10 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         return;
     }
 
+    if (slot->offset_m > 0.0) {
+        slot->offset_m = travel.point.depth_m < slot->offset_m ? travel.point.depth_m : slot->offset_m;
+        travel.point.depth_m -= slot->offset_m;
+    }
     double pressed_n[2];
     const double normal_n = compute_force(&slot->surface, &travel.point, context->input->velocity_m_per_s,
                                           travel.tangent, lever, &slot->anchor_m, pressed_n);
@@ -319,4 +324,5 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
     }
     add_noise(context, index, &dominant, &travel, changed);
     slot->last = travel.point;
+    slot->last.depth_m += slot->offset_m;
 }

@@ -153,6 +153,11 @@ HD_RT static void meet_along_surface(struct hd_context *context, uint32_t index,
     hd_proxy_press(proxy, index, first->fraction * hd_dot(step, first->point.normal), first->point.normal);
     struct hd_onset again = *onset;
     if (is_met(context, object, 0, &again)) {
+        double landed_m[2];
+        struct hd_contact_point point;
+        hd_between(proxy->from_m, proxy->to_m, first->fraction, landed_m);
+        hd_shape_of(object)->contact_point(object, again.feature, again.point.normal, NULL, landed_m, &point);
+        again.below_m = hd_shape_below(point.depth_m);
         *onset = again;
     }
     *proxy = before;

@@ -38,6 +38,7 @@ HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot,
         const struct hd_material *material = &table->materials[object->material];
         const double ticks = 1.0 / table->ramp_step;
         slot->anchor_m = here.arc_m - along * (there.arc_m - other->anchor_m);
+        slot->offset_m = other->offset_m;
         slot->surface.friction_coefficient = other->surface.friction_coefficient;
         slot->surface.friction_stiffness_n_per_m = other->surface.friction_stiffness_n_per_m;
         if (material->friction_coefficient != other->surface.friction_coefficient ||
