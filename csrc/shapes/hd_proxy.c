@@ -6,6 +6,21 @@
 /* Height of the proxy above its surface: large enough to differ from a point on it, too small to be felt. */
 #define HD_PROXY_LIFT_M 1e-9
 #define HD_PROXY_ITERATIONS 3
+/* Scalar product of the normals of two surfaces that form a corner of 60 degrees. */
+#define HD_PROXY_NARROW_CORNER (-0.5)
+
+/* Whether plane `i` forms a corner narrower than 60 degrees with a plane that was pressed earlier. The edge of such a
+ * corner may be far from the probe, so the proxy stays on the earlier surface and does not leap to the edge. Then its
+ * distance from the probe is at most twice the largest depth. */
+HD_RT static int is_in_narrow_corner(const struct hd_proxy *proxy, uint32_t i, uint32_t slot) {
+    for (uint32_t earlier = 0; earlier < i; earlier++) {
+        if (proxy->plane[earlier].slot != slot &&
+            hd_dot(proxy->plane[earlier].normal, proxy->plane[i].normal) < HD_PROXY_NARROW_CORNER) {
+            return 1;
+        }
+    }
+    return 0;
+}
 
 HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m[2], uint32_t slot,
                            double projected_m[2]) {
@@ -17,7 +32,7 @@ HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m
         int any = 0;
         for (uint32_t i = 0; i < proxy->plane_count; i++) {
             const struct hd_proxy_plane *plane = &proxy->plane[i];
-            if (plane->slot == slot) {
+            if (plane->slot == slot || is_in_narrow_corner(proxy, i, slot)) {
                 continue;
             }
             double step[2];
