@@ -9,21 +9,26 @@
 /* Scalar product of the normals of two surfaces that form a corner of 60 degrees. */
 #define HD_PROXY_NARROW_CORNER (-0.5)
 
-/* Whether plane `i` forms a corner narrower than 60 degrees with a plane that was pressed earlier. The edge of such a
- * corner may be far from the probe, so the proxy stays on the earlier surface and does not leap to the edge. Then its
- * distance from the probe is at most twice the largest depth. */
-HD_RT static int is_in_narrow_corner(const struct hd_proxy *proxy, uint32_t i, uint32_t slot) {
-    for (uint32_t earlier = 0; earlier < i; earlier++) {
-        if (proxy->plane[earlier].slot != slot &&
-            hd_dot(proxy->plane[earlier].normal, proxy->plane[i].normal) < HD_PROXY_NARROW_CORNER) {
-            return 1;
+/* Returns the planes out of which the proxy is projected, as a set of bits: all but that of `slot`, and of a corner
+ * narrower than 60 degrees only the plane that was pressed first. The edge of such a corner may be far from the probe;
+ * the proxy stays on the first plane and does not leap to the edge. Then its distance from the probe is at most twice
+ * the largest depth. */
+HD_RT static uint32_t projected_planes(const struct hd_proxy *proxy, uint32_t slot) {
+    uint32_t planes = 0;
+    for (uint32_t i = 0; i < proxy->plane_count; i++) {
+        int apart = proxy->plane[i].slot != slot;
+        for (uint32_t first = 0; apart && first < i; first++) {
+            apart = !(planes & 1u << first) ||
+                    hd_dot(proxy->plane[first].normal, proxy->plane[i].normal) >= HD_PROXY_NARROW_CORNER;
         }
+        planes |= apart ? 1u << i : 0u;
     }
-    return 0;
+    return planes;
 }
 
 HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m[2], uint32_t slot,
                            double projected_m[2]) {
+    const uint32_t planes = projected_planes(proxy, slot);
     int moved = 0;
     projected_m[0] = position_m[0];
     projected_m[1] = position_m[1];
@@ -32,7 +37,7 @@ HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m
         int any = 0;
         for (uint32_t i = 0; i < proxy->plane_count; i++) {
             const struct hd_proxy_plane *plane = &proxy->plane[i];
-            if (plane->slot == slot || is_in_narrow_corner(proxy, i, slot)) {
+            if (!(planes & 1u << i)) {
                 continue;
             }
             double step[2];

@@ -184,10 +184,23 @@ HD_RT static int has_grooves(const struct hd_table *table, const struct hd_objec
     return object->piece_count > 0 || table->materials[object->material].texture == HD_TEXTURE_STRIKES;
 }
 
+/* Notes the energy and the force that a spring had whose surface the probe left sideways. */
+HD_RT static void free_spring(struct hd_context *context, const struct hd_slot *slot,
+                              const struct hd_contact_point *point) {
+    const double pressed_m = point->depth_m - slot->offset_m - slot->surface.lowering_m;
+    if (pressed_m > 0.0) {
+        const double force_n = slot->ramp * slot->surface.stiffness_n_per_m * pressed_m;
+        context->freed_j += 0.5 * force_n * pressed_m;
+        context->freed_n[0] += force_n * point->normal[0];
+        context->freed_n[1] += force_n * point->normal[1];
+    }
+}
+
 /* Ends a contact that the probe has left. Soon after a command the command may be the cause: it changed this surface,
  * or another one that the proxy moves along, so that the probe had left already at its last position. Then the force of
  * the contact counts as removed by the command. */
-HD_RT static void release(struct hd_context *context, uint32_t index, const struct hd_object *object) {
+HD_RT static void release(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                          const struct hd_contact_point *point) {
     struct hd_slot *slot = &context->state->slots[index];
     if (slot->changed) {
         hd_surface_noise_change(context->state, slot);
@@ -195,8 +208,39 @@ HD_RT static void release(struct hd_context *context, uint32_t index, const stru
     } else if (hd_command_is_recent(context) && has_left(context, index, object, context->proxy.from_m, &slot->last)) {
         hd_contact_force_drop(context, index);
         return;
+    } else {
+        free_spring(context, slot, point);
     }
     hd_contact_end(context->state, index, context->input->time_ns);
+}
+
+HD_RT void hd_contact_force_take_over(struct hd_context *context) {
+    const struct hd_state *state = context->state;
+    for (uint32_t i = 0; i < state->active_count && context->freed_j > 0.0; i++) {
+        struct hd_slot *slot = &state->slots[state->active[i]];
+        const double stiffness = slot->surface.stiffness_n_per_m;
+        const double *normal = slot->last.normal;
+        const double freed_n = hd_dot(context->freed_n, normal);
+        if (!(slot->offset_m > 0.0 && slot->ramp == 1.0 && freed_n > 0.0)) {
+            continue;
+        }
+        const double from_m = slot->last.depth_m - slot->offset_m - slot->surface.lowering_m;
+        const double pressed_m = from_m > 0.0 ? from_m : 0.0;
+        const double by_energy_m = hd_root(pressed_m * pressed_m + 2.0 * context->freed_j / stiffness);
+        const double by_force_m = pressed_m + freed_n / stiffness;
+        const double most_m = (by_energy_m < by_force_m ? by_energy_m : by_force_m) - from_m;
+        const double part_m = most_m < slot->offset_m ? most_m : slot->offset_m;
+        const double more_m = from_m + part_m > pressed_m ? from_m + part_m - pressed_m : 0.0;
+        slot->offset_m -= part_m;
+        slot->normal_n += stiffness * more_m;
+        context->freed_j -= 0.5 * stiffness * more_m * (2.0 * pressed_m + more_m);
+        for (int axis = 0; axis < 2; axis++) {
+            const double more_n = stiffness * more_m * normal[axis];
+            slot->force_n[axis] += more_n;
+            context->force_n[axis] += more_n;
+            context->freed_n[axis] -= more_n;
+        }
+    }
 }
 
 /* Fills in the travel along a round surface. At the bottom s jumps by the circumference; the anchor jumps with it. */
@@ -298,7 +342,7 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
             travel.part = contact_part(slot, object, &travel.point);
             hd_grooves_pass(context, index, object, &travel);
         }
-        release(context, index, object);
+        release(context, index, object, &travel.point);
         return;
     }
 

@@ -229,6 +229,9 @@ HD_RT static void update_unvisited(struct hd_context *context, const uint32_t *s
 HD_RT void hd_narrow_phase(struct hd_context *context) {
     struct hd_state *state = context->state;
     context->onset_count = 0;
+    context->freed_j = 0.0;
+    context->freed_n[0] = 0.0;
+    context->freed_n[1] = 0.0;
     if (context->new_table) {
         update_changed_contacts(context);
     }
@@ -249,5 +252,8 @@ HD_RT void hd_narrow_phase(struct hd_context *context) {
     state->resumed_count = 0;
     if (context->onset_count > 0) {
         begin_contacts_in_order(context);
+    }
+    if (context->freed_j > 0.0) {
+        hd_contact_force_take_over(context);
     }
 }

@@ -15,7 +15,7 @@ HD_RT static double find_last_point(const struct hd_context *context, const stru
     return shape->half_length(object, slot->feature);
 }
 
-HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot, const struct hd_object *object) {
+HD_RT void hd_seam_cross(struct hd_context *context, struct hd_slot *slot, const struct hd_object *object) {
     const struct hd_table *table = context->table;
     struct hd_contact_point here;
     const double half = find_last_point(context, slot, object, &here);
@@ -39,6 +39,7 @@ HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot,
         const double ticks = 1.0 / table->ramp_step;
         slot->anchor_m = here.arc_m - along * (there.arc_m - other->anchor_m);
         slot->offset_m = other->offset_m;
+        context->freed_j = 0.0;
         slot->surface.friction_coefficient = other->surface.friction_coefficient;
         slot->surface.friction_stiffness_n_per_m = other->surface.friction_stiffness_n_per_m;
         if (material->friction_coefficient != other->surface.friction_coefficient ||

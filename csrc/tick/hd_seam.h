@@ -20,7 +20,7 @@ HD_RT static inline int hd_seam_is_flush(const struct hd_contact_point *a, const
 
 /* Takes over the friction of a flush surface that the probe left in this tick, if there is one. `slot->feature` is set.
  */
-HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot, const struct hd_object *object);
+HD_RT void hd_seam_cross(struct hd_context *context, struct hd_slot *slot, const struct hd_object *object);
 /* Blends friction in one tick of the ramp: `slot->surface` holds the material's values, the arguments those of the last
  * tick. */
 HD_RT void hd_seam_ease(struct hd_slot *slot, double arc_m, double coefficient, double stiffness_n_per_m);
