@@ -1,12 +1,13 @@
 """Random closed loops: do loops that the margin calls safe come to rest, and how much energy does the hand get?
 
-    python -m bench.loops [--count 10000] [--first 0] [--kind KIND]...
+    python -m bench.loops [--count 10000] [--first 0] [--kind KIND]... [--rest]
 
 A loop is a device, a hand that presses, slides and then rests, and a scene: a wall, plain, of patches or with textures,
 a corner, flush boxes with seams, a disc pressed to its centre, or several of these that overlap. Stiffnesses are 0.3 to
 1 of the safe stiffness. A scene that is not safe, or has a warning of `hapticd check`, is drawn again. Each loop runs
 with and without the passivity controller, for at most ten simulated minutes, until `hapticd.rendering.end_state` is
 certain that it rests. A loop that does not rest is run again without vibration: if it then rests, its texture drove it.
+With `--rest` each loop runs once, without vibration and controller, and the exit code is 1 if one does not rest.
 
 The energy given to the hand is the sum over samples and true positions of the handle; the servo's sum is not used.
 """
@@ -15,9 +16,12 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing import Pool
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -385,14 +389,50 @@ class Counts:
         return f"{line}{change_n:.3g} N: {', '.join(found)}" if found else ""
 
 
+# ---- Rest alone ----------------------------------------------------------------------------------------------------
+
+
+def end_of_loop(seed: int, kinds: tuple[Kind, ...]) -> tuple[Case, EndState] | None:
+    """Return how a loop ends without vibration and controller; None if no scene of this seed is safe."""
+    case = draw(seed, kinds)
+    if case is None:
+        return None
+    loop = Simulation(CompiledScene(case.config("off", vibration=False)), case.waypoints)
+    loop.advance(case.waypoints[-1][0] + AFTER_S)
+    return case, end_state(loop.advance, LONGEST_S)
+
+
+def count_rests(seeds: range, kinds: tuple[Kind, ...]) -> int:
+    """Run loops in two processes, print those that do not rest and the slowest, and return how many do not rest."""
+    began, loops, moving, slowest = time.monotonic(), 0, 0, "none"
+    longest_s = 0.0
+    with Pool(2) as workers:
+        for found in workers.imap(partial(end_of_loop, kinds=kinds), seeds, 8):
+            if found is None:
+                continue
+            case, end = found
+            loops += 1
+            line = f"seed {case.seed} {case.kind}: {end.fate}, {end.peak_m_per_s:.2g} m/s after {end.after_s:g} s"
+            if end.fate != "rests":
+                moving += 1
+                print(line, flush=True)
+            if end.after_s > longest_s:
+                longest_s, slowest = end.after_s, line
+    print(f"{loops} loops in {time.monotonic() - began:.0f} s: {moving} do not rest; the slowest: {slowest}")
+    return moving
+
+
 def main() -> None:
     """Run random loops, and print the findings."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--kind", choices=KINDS, action="append")
+    parser.add_argument("--kind", choices=get_args(Kind), action="append")
+    parser.add_argument("--rest", action="store_true")
     arguments = parser.parse_args()
     kinds = tuple(arguments.kind) if arguments.kind else KINDS
+    if arguments.rest:
+        sys.exit(count_rests(range(arguments.first, arguments.first + arguments.count), kinds) > 0)
     counts, began, unsafe = Counts(), time.monotonic(), 0
     for seed in range(arguments.first, arguments.first + arguments.count):
         case = draw(seed, kinds)

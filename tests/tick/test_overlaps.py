@@ -7,6 +7,7 @@ came in by.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -130,7 +131,7 @@ def test_the_surface_of_two_boxes_that_overlap_flush_pushes_as_one(order: int, w
 
 @pytest.mark.parametrize("degrees", [10, 30, 60])
 def test_a_slope_that_is_met_at_its_foot_pushes_from_zero(degrees: float) -> None:
-    """The box stands with an edge on the floor. When the proxy comes to this edge, the probe is below the slope already.
+    """The box stands with an edge on the floor. When the proxy comes to the edge, the probe is below the slope already.
 
     The force of the slope rises with the depth that the probe gains from there; on the way back it never acts deeper.
     """
@@ -169,7 +170,7 @@ def closed_way(random: np.random.Generator, objects: dict[str, Any]) -> Points:
     inner = random.uniform(-0.012, 0.012, (int(random.integers(3, 9)), 2))
     corners = np.concatenate([outside[None], inner, outside[None]])
     parts = [corners[:1]]
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
+    for a, b in pairwise(corners):
         count = math.ceil(float(np.hypot(*(b - a))) / 1e-5)
         parts.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
     return np.concatenate(parts)
