@@ -104,8 +104,8 @@ HD_RT static int stood_between(const struct hd_object *object, const double prox
     return enters(object, local, was, &cut, &entered) && entered == face;
 }
 
-/* Fills in the onset at the point `hit` of the face, met at `onset->fraction` of the path. Returns 0 if the face was reached along another surface and the
- * proxy is not on it, so that it lies below that surface. */
+/* Fills in the onset at the point `hit` of the face, met at `onset->fraction` of the path. Returns 0 if the face was
+ * reached along another surface and the proxy is not on it, so that it lies below that surface. */
 HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *object, const double hit[2],
                           struct hd_onset *onset) {
     if (onset->slid) {

@@ -120,8 +120,8 @@ HD_RT static int enters(const struct hd_object *object, const double a[2], const
     return *fraction < 1.0;
 }
 
-/* Fills in the onset at the point `hit` of the rim, met at `onset->fraction` of the path. Returns 0 if the disc was reached along another surface and the
- * proxy is not on it, so that it lies below that surface. */
+/* Fills in the onset at the point `hit` of the rim, met at `onset->fraction` of the path. Returns 0 if the disc was
+ * reached along another surface and the proxy is not on it, so that it lies below that surface. */
 HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *object, const double hit[2],
                           struct hd_onset *onset) {
     double offset[2];

@@ -1,7 +1,8 @@
 /* Contacts: one life cycle for every shape.
  *
  *   free --onset--> touched            the tap is struck, the force acts at once
- *   free --inside--> touched           no tap, the force ramps up (after a jump or stall; where two solids overlap)
+ *   free --inside--> touched           no tap; after a jump or a stall the force ramps up, where solids overlap it
+ *                                      rises with further depth (hd_contact_force.c)
  *   free --appeared--> touched         no tap (the object is new, was moved or reset)
  *   touched --changed--> touched       the new parameters apply at once, the state stays (hd_contact_force.c)
  *   touched --released--> free         the probe left

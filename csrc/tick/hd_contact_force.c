@@ -6,6 +6,12 @@
  * v_n = -v.n, v_t = v.t; see hd_surface.h for K, H and their slopes, hd_friction.h for friction. Vibration (grooves,
  * noise) is added to this force and does not depend on whether it is displayed.
  *
+ * A contact may begin with the probe at a depth d0 below the surface: the proxy reached it along another surface, or a
+ * solid that overlaps was left. Then d above is the depth less an offset. The offset begins at d0 and falls with the
+ * depth when the probe withdraws, so that the contact never gives energy that it did not take. A spring that the probe
+ * leaves sideways gives its energy to such contacts in the same tick (hd_contact_force_take_over), and along their
+ * normals at most its force.
+ *
  * On a disc of radius R a probe at radius r moves by r/R of the change of s, so there the first three terms of F_t are
  * multiplied by R/r. Deep in the disc geometry and friction fade with g(r), from 1 to 0 (hd_shape.h: lever). The stored
  * energy is
