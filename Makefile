@@ -317,7 +317,7 @@ verify-model: tools ## prove triple buffer and ring with spin, and compare the C
 
 .PHONY: verify-loops
 verify-loops: tools ## simulate 10,000 random loops within the margins, 4,000 of overlapping solids: all come to rest
-	@$(BIN)/python -m bench.loops --rest --count 6000 --first 2000000
+	@$(BIN)/python -m bench.loops --rest --count 6000
 	@$(BIN)/python -m bench.loops --rest --count 4000 --first 2000000 --kind overlap
 
 # ---- C tests -----------------------------------------------------------------------------------------------------

@@ -220,20 +220,39 @@ HD_RT static void release(struct hd_context *context, uint32_t index, const stru
     hd_contact_end(context->state, index, context->input->time_ns);
 }
 
-HD_RT void hd_contact_force_take_over(struct hd_context *context) {
+/* Returns the contact that takes over next: the one with an offset along whose normal most of the freed force acts.
+ * NULL: there is none. The result does not depend on the order of the contacts. */
+HD_RT static struct hd_slot *next_heir(const struct hd_context *context) {
     const struct hd_state *state = context->state;
-    for (uint32_t i = 0; i < state->active_count && context->freed_j > 0.0; i++) {
-        struct hd_slot *slot = &state->slots[state->active[i]];
+    struct hd_slot *heir = NULL;
+    uint32_t index_of_heir = 0;
+    double most_n = 0.0;
+    for (uint32_t i = 0; i < state->active_count; i++) {
+        const uint32_t index = state->active[i];
+        struct hd_slot *slot = &state->slots[index];
+        const double freed_n = hd_dot(context->freed_n, slot->last.normal);
+        if (slot->offset_m > 0.0 && slot->ramp == 1.0 &&
+            (freed_n > most_n || (heir != NULL && freed_n == most_n && index < index_of_heir))) {
+            heir = slot;
+            index_of_heir = index;
+            most_n = freed_n;
+        }
+    }
+    return heir;
+}
+
+HD_RT void hd_contact_force_take_over(struct hd_context *context) {
+    for (uint32_t i = 0; i < context->state->active_count && context->freed_j > 0.0; i++) {
+        struct hd_slot *slot = next_heir(context);
+        if (slot == NULL) {
+            return;
+        }
         const double stiffness = slot->surface.stiffness_n_per_m;
         const double *normal = slot->last.normal;
-        const double freed_n = hd_dot(context->freed_n, normal);
-        if (!(slot->offset_m > 0.0 && slot->ramp == 1.0 && freed_n > 0.0)) {
-            continue;
-        }
         const double from_m = slot->last.depth_m - slot->offset_m - slot->surface.lowering_m;
         const double pressed_m = from_m > 0.0 ? from_m : 0.0;
         const double by_energy_m = hd_root(pressed_m * pressed_m + 2.0 * context->freed_j / stiffness);
-        const double by_force_m = pressed_m + freed_n / stiffness;
+        const double by_force_m = pressed_m + hd_dot(context->freed_n, normal) / stiffness;
         const double most_m = (by_energy_m < by_force_m ? by_energy_m : by_force_m) - from_m;
         const double part_m = most_m < slot->offset_m ? most_m : slot->offset_m;
         const double more_m = from_m + part_m > pressed_m ? from_m + part_m - pressed_m : 0.0;
