@@ -7,8 +7,8 @@ force limit lets the probe go. Two surfaces act together if their regions meet, 
 through.
 
 A contact set is a pair that meets and all surfaces that meet both, or a surface that meets no other. All surfaces that
-a probe touches at once lie in one of the sets. If there are too many pairs to compare, all surfaces form one set. A set
-may therefore be too large, but never too small.
+a probe touches at once lie in one of the sets, except in rare cases behind discs and beyond the ends of surfaces. If
+there are too many pairs to compare, all surfaces form one set. So a set may be too large.
 """
 
 from __future__ import annotations
