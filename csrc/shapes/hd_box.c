@@ -114,8 +114,8 @@ HD_RT static int stood_between(const struct hd_object *object, const double prox
     return enters(object, local, was, &OF_PROBE, &cut, &entered) && entered == face;
 }
 
-/* Fills in the onset at the point `hit` of the face. Returns 0 if the face was reached along another surface and the
- * proxy is not on it, so that it lies below that surface. */
+/* Fills in the onset at the point `hit` of the face, met at `onset->fraction` of the path. Returns 0 if the face was
+ * reached along another surface and the proxy is not on it, so that it lies below that surface. */
 HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *object, const double hit[2],
                           struct hd_onset *onset) {
     if (onset->slid) {
@@ -124,6 +124,10 @@ HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *
             return 0;
         }
     }
+    double probe_m[2];
+    hd_between(proxy->from_m, proxy->to_m, onset->fraction, probe_m);
+    point_on_face(object, onset->feature.face, probe_m, &onset->point);
+    onset->below_m = hd_shape_below(onset->point.depth_m);
     point_on_face(object, onset->feature.face, hit, &onset->point);
     onset->point.depth_m = 0.0;
     return 1;
@@ -143,15 +147,17 @@ HD_RT static int follows_proxy(const struct hd_proxy *proxy, const struct hd_obj
     return begin_at(proxy, object, hit, onset);
 }
 
-/* Whether a box that appeared contains the probe; the nearest face is then in contact. */
+/* Whether a box that is not touched contains the probe, because it appeared or overlaps another solid; the nearest face
+ * is then in contact. */
 HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_object *object, const double to[2],
-                                struct hd_onset *onset) {
+                                int fresh, struct hd_onset *onset) {
     if (!inside(object, to, HD_RIM_M)) {
         return 0;
     }
     onset->silent = 1;
     onset->feature.face = nearest_face(object, to);
     point_on_face(object, onset->feature.face, proxy->to_m, &onset->point);
+    onset->below_m = fresh ? 0.0 : hd_shape_below(onset->point.depth_m);
     /* A face below a pressed surface is not touched. */
     return !has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point);
 }
@@ -165,7 +171,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     onset->slid = 0;
     onset->stood = 0;
     if (fresh || inside(object, from, HD_SEAM_M)) {
-        return contains_probe(proxy, object, to, onset);
+        return contains_probe(proxy, object, to, fresh, onset);
     }
     hd_proxy_sweep(proxy);
     double above[2][2]; /* the proxy before and after the tick */

@@ -129,8 +129,8 @@ HD_RT static int enters(const struct hd_object *object, const double a[2], const
     return *fraction < 1.0;
 }
 
-/* Fills in the onset at the point `hit` of the rim. Returns 0 if the disc was reached along another surface and the
- * proxy is not on it, so that it lies below that surface. */
+/* Fills in the onset at the point `hit` of the rim, met at `onset->fraction` of the path. Returns 0 if the disc was
+ * reached along another surface and the proxy is not on it, so that it lies below that surface. */
 HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *object, const double hit[2],
                           struct hd_onset *onset) {
     double offset[2];
@@ -143,6 +143,10 @@ HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *
             return 0;
         }
     }
+    double probe_m[2];
+    hd_between(proxy->from_m, proxy->to_m, onset->fraction, probe_m);
+    point_at(object, bearing, UNLIMITED_TRAVEL_M, probe_m, &onset->point);
+    onset->below_m = hd_shape_below(onset->point.depth_m);
     point_at(object, bearing, 0.0, hit, &onset->point);
     onset->point.arc_m = arc_length(object, onset->point.normal);
     onset->point.depth_m = 0.0;
@@ -162,8 +166,9 @@ HD_RT static int follows_proxy(const struct hd_proxy *proxy, const struct hd_obj
     return begin_at(proxy, object, hit, onset);
 }
 
-/* Whether a disc that appeared contains the probe. */
-HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_object *object, struct hd_onset *onset) {
+/* Whether a disc that is not touched contains the probe, because it appeared or overlaps another solid. */
+HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_object *object, int fresh,
+                                struct hd_onset *onset) {
     double to[2];
     hd_difference(proxy->to_m, object->point_m, to);
     const double distance = distance_of(to);
@@ -174,6 +179,7 @@ HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_ob
     const double radial[2] = {distance > 0.0 ? to[0] / distance : 0.0, distance > 0.0 ? to[1] / distance : 0.0};
     point_at(object, distance > 0.0 ? radial : object->normal, 0.0, proxy->to_m, &onset->point);
     onset->point.arc_m = arc_length(object, onset->point.normal);
+    onset->below_m = fresh ? 0.0 : hd_shape_below(onset->point.depth_m);
     return 1;
 }
 
@@ -185,7 +191,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     onset->slid = 0;
     onset->stood = 0;
     if (fresh || hd_dot(from, from) < inner * inner) {
-        return contains_probe(proxy, object, onset);
+        return contains_probe(proxy, object, fresh, onset);
     }
     hd_proxy_sweep(proxy);
     for (uint32_t segment = 0; segment < proxy->segments; segment++) {

@@ -106,6 +106,10 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
         double hit[2];
         hd_between(begin, end, cut, hit);
         onset->fraction = onset->slid ? 1.0 : cut;
+        double probe_m[2];
+        hd_between(proxy->from_m, proxy->to_m, onset->fraction, probe_m);
+        point_on_side(object, onset->feature.side, probe_m, &onset->point);
+        onset->below_m = hd_shape_below(onset->point.depth_m);
         point_on_side(object, onset->feature.side, hit, &onset->point);
         onset->point.depth_m = 0.0;
         return 1;

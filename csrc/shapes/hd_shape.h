@@ -63,6 +63,7 @@ struct hd_onset {
     int slid;                      /* reached along another, pressed surface: no tap */
     int stood;                     /* slid without motion of the probe: the shape already lay between proxy and probe */
     double fraction;               /* of the path from the last sample to this one, at which the surface was met */
+    double below_m;                /* depth of the probe when the surface was met; 0 if its own path met the surface */
     struct hd_contact_point point; /* where the surface was met; if silent, at the probe */
     struct hd_feature feature;
 };
@@ -108,6 +109,11 @@ extern const struct hd_shape_operations hd_wall, hd_membrane, hd_box, hd_disc;
 /* By enum hd_shape; NULL for HD_SHAPE_NONE. */
 #define HD_SHAPES 5u
 extern const struct hd_shape_operations *const hd_shapes[HD_SHAPES];
+
+/* Returns the depth of a probe that is below a surface, m; 0 above it and within HD_RIM_M of it. */
+HD_RT static inline double hd_shape_below(double depth_m) {
+    return depth_m > HD_RIM_M ? depth_m : 0.0;
+}
 
 /* Returns the operations of an object whose shape is not HD_SHAPE_NONE. */
 HD_RT static inline const struct hd_shape_operations *hd_shape_of(const struct hd_object *object) {

@@ -6,6 +6,12 @@
  * v_n = -v.n, v_t = v.t; see hd_surface.h for K, H and their slopes, hd_friction.h for friction. Vibration (grooves,
  * noise) is added to this force and does not depend on whether it is displayed.
  *
+ * A contact may begin with the probe at a depth d0 below the surface: the proxy reached it along another surface, or a
+ * solid that overlaps was left. Then d above is the depth less an offset. The offset begins at d0 and falls with the
+ * depth when the probe withdraws, so that the contact never gives energy that it did not take. A spring that the probe
+ * leaves sideways gives its energy to such contacts in the same tick (hd_contact_force_take_over), and along their
+ * normals at most its force.
+ *
  * On a disc of radius R a probe at radius r moves by r/R of the change of s, so there the first two terms of F_t are
  * multiplied by R/r. Deep in the disc geometry fades with g(r), from 1 to 0 (hd_shape.h: lever). Its energy is
  *     U = K/2 (d - g H)^2
@@ -99,6 +105,7 @@ HD_RT static void compute_unchanged_force(const struct hd_context *context, cons
     }
     struct hd_contact_point point = slot->last;
     struct hd_surface surface = slot->surface;
+    point.depth_m -= slot->offset_m;
     double tangent[2];
     double before[2];
     double after[2];
@@ -197,10 +204,23 @@ HD_RT static int has_grooves(const struct hd_table *table, const struct hd_objec
     return object->piece_count > 0 || table->materials[object->material].texture == HD_TEXTURE_STRIKES;
 }
 
+/* Notes the energy and the force that a spring had whose surface the probe left sideways. */
+HD_RT static void free_spring(struct hd_context *context, const struct hd_slot *slot,
+                              const struct hd_contact_point *point) {
+    const double pressed_m = point->depth_m - slot->offset_m - slot->surface.lowering_m;
+    if (pressed_m > 0.0) {
+        const double force_n = slot->ramp * slot->surface.stiffness_n_per_m * pressed_m;
+        context->freed_j += 0.5 * force_n * pressed_m;
+        context->freed_n[0] += force_n * point->normal[0];
+        context->freed_n[1] += force_n * point->normal[1];
+    }
+}
+
 /* Ends a contact that the probe has left. Soon after a command the command may be the cause: it changed this surface,
  * or another one that the proxy moves along, so that the probe had left already at its last position. Then the force of
  * the contact counts as removed by the command. */
-HD_RT static void release(struct hd_context *context, uint32_t index, const struct hd_object *object) {
+HD_RT static void release(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                          const struct hd_contact_point *point) {
     struct hd_slot *slot = &context->state->slots[index];
     if (slot->changed) {
         hd_surface_noise_change(context->state, slot);
@@ -208,8 +228,58 @@ HD_RT static void release(struct hd_context *context, uint32_t index, const stru
     } else if (hd_command_is_recent(context) && has_left(context, index, object, context->proxy.from_m, &slot->last)) {
         hd_contact_force_drop(context, index);
         return;
+    } else {
+        free_spring(context, slot, point);
     }
     hd_contact_end(context->state, index, context->input->time_ns);
+}
+
+/* Returns the contact that takes over next: the one with an offset along whose normal most of the freed force acts.
+ * NULL: there is none. The result does not depend on the order of the contacts. */
+HD_RT static struct hd_slot *next_heir(const struct hd_context *context) {
+    const struct hd_state *state = context->state;
+    struct hd_slot *heir = NULL;
+    uint32_t index_of_heir = 0;
+    double most_n = 0.0;
+    for (uint32_t i = 0; i < state->active_count; i++) {
+        const uint32_t index = state->active[i];
+        struct hd_slot *slot = &state->slots[index];
+        const double freed_n = hd_dot(context->freed_n, slot->last.normal);
+        if (slot->offset_m > 0.0 && slot->ramp == 1.0 &&
+            (freed_n > most_n || (heir != NULL && freed_n == most_n && index < index_of_heir))) {
+            heir = slot;
+            index_of_heir = index;
+            most_n = freed_n;
+        }
+    }
+    return heir;
+}
+
+HD_RT void hd_contact_force_take_over(struct hd_context *context) {
+    for (uint32_t i = 0; i < context->state->active_count && context->freed_j > 0.0; i++) {
+        struct hd_slot *slot = next_heir(context);
+        if (slot == NULL) {
+            return;
+        }
+        const double stiffness = slot->surface.stiffness_n_per_m;
+        const double *normal = slot->last.normal;
+        const double from_m = slot->last.depth_m - slot->offset_m - slot->surface.lowering_m;
+        const double pressed_m = from_m > 0.0 ? from_m : 0.0;
+        const double by_energy_m = hd_root(pressed_m * pressed_m + 2.0 * context->freed_j / stiffness);
+        const double by_force_m = pressed_m + hd_dot(context->freed_n, normal) / stiffness;
+        const double most_m = (by_energy_m < by_force_m ? by_energy_m : by_force_m) - from_m;
+        const double part_m = most_m < slot->offset_m ? most_m : slot->offset_m;
+        const double more_m = from_m + part_m > pressed_m ? from_m + part_m - pressed_m : 0.0;
+        slot->offset_m -= part_m;
+        slot->normal_n += stiffness * more_m;
+        context->freed_j -= 0.5 * stiffness * more_m * (2.0 * pressed_m + more_m);
+        for (int axis = 0; axis < 2; axis++) {
+            const double more_n = stiffness * more_m * normal[axis];
+            slot->force_n[axis] += more_n;
+            context->force_n[axis] += more_n;
+            context->freed_n[axis] -= more_n;
+        }
+    }
 }
 
 /* Fills in the travel along a round surface. At the bottom s jumps by the circumference. */
@@ -316,13 +386,17 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
             travel.part = contact_part(slot, object, &travel.point);
             hd_grooves_pass(context, index, object, &travel);
         }
-        release(context, index, object);
+        release(context, index, object, &travel.point);
         return;
     }
     if (slot->seam > 0) { /* not before: the next surface continues the ramp from the properties of the last tick */
         dominant = hd_seam_ease(context->table, object, travel.point.arc_m, slot);
     }
 
+    if (slot->offset_m > 0.0) {
+        slot->offset_m = travel.point.depth_m < slot->offset_m ? travel.point.depth_m : slot->offset_m;
+        travel.point.depth_m -= slot->offset_m;
+    }
     double pressed_n[2];
     const double normal_n = compute_force(&slot->surface, &travel.point, context->input->velocity_m_per_s,
                                           travel.tangent, lever, &slot->anchor_m, pressed_n);
@@ -341,4 +415,5 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
     }
     add_noise(context, index, &dominant, &travel, changed);
     slot->last = travel.point;
+    slot->last.depth_m += slot->offset_m;
 }

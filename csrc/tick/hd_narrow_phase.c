@@ -211,6 +211,11 @@ HD_RT static void meet_along_surface(struct hd_context *context, uint32_t index,
     hd_proxy_press(proxy, index, first->fraction * hd_dot(step, first->point.normal), first->point.normal);
     struct hd_onset again = *onset;
     if (is_met(context, object, 0, &again)) {
+        double landed_m[2];
+        struct hd_contact_point point;
+        hd_between(proxy->from_m, proxy->to_m, first->fraction, landed_m);
+        hd_shape_of(object)->contact_point(object, again.feature, again.point.normal, NULL, landed_m, &point);
+        again.below_m = hd_shape_below(point.depth_m);
         *onset = again;
     }
     *proxy = before;
@@ -285,6 +290,9 @@ HD_RT static void update_unvisited(struct hd_context *context, const uint32_t *s
 HD_RT void hd_narrow_phase(struct hd_context *context) {
     struct hd_state *state = context->state;
     context->onset_count = 0;
+    context->freed_j = 0.0;
+    context->freed_n[0] = 0.0;
+    context->freed_n[1] = 0.0;
     if (context->new_table) {
         update_changed_contacts(context);
     }
@@ -308,5 +316,8 @@ HD_RT void hd_narrow_phase(struct hd_context *context) {
     state->resumed_count = 0;
     if (context->onset_count > 0) {
         begin_contacts_in_order(context);
+    }
+    if (context->freed_j > 0.0) {
+        hd_contact_force_take_over(context);
     }
 }

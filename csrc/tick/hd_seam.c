@@ -41,7 +41,7 @@ HD_RT static void begin_ramp(const struct hd_table *table, const struct hd_objec
     slot->seam = ticks < (double)HD_SEAM_TICKS ? (uint16_t)ticks : (uint16_t)HD_SEAM_TICKS;
 }
 
-HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot, const struct hd_object *object) {
+HD_RT void hd_seam_cross(struct hd_context *context, struct hd_slot *slot, const struct hd_object *object) {
     const struct hd_table *table = context->table;
     struct hd_contact_point here;
     const double half = find_last_point(context, slot, object, &here);
@@ -67,6 +67,8 @@ HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot,
             hd_surface_at(table, &table->objects[index], there.arc_m, HD_UNBOUNDED_M, &was);
         }
         slot->anchor_m = here.arc_m - along * (there.arc_m - other->anchor_m);
+        slot->offset_m = other->offset_m;
+        context->freed_j = 0.0;
         begin_ramp(table, object, here.arc_m, &was, slot);
         return;
     }

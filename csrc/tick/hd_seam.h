@@ -24,7 +24,7 @@ HD_RT static inline int hd_seam_is_flush(const struct hd_contact_point *a, const
 
 /* Takes over the surface properties and the friction of a flush surface that the probe left in this tick, if there is
  * one. `slot->feature` and `slot->last` are set. */
-HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot, const struct hd_object *object);
+HD_RT void hd_seam_cross(struct hd_context *context, struct hd_slot *slot, const struct hd_object *object);
 /* Computes the surface properties in one tick of the ramp: those of the object at s, plus the remaining part of the
  * difference that was left at the last tick. */
 HD_RT struct hd_dominant_material hd_seam_ease(const struct hd_table *table, const struct hd_object *object,

@@ -118,6 +118,7 @@ struct hd_slot {
     uint16_t seam;             /* ticks in which the surface still blends from the earlier one to this one: hd_seam.h */
     double ramp;               /* of the contact force, 0 to 1: of a contact without onset that no command caused */
     double anchor_m;           /* s of the friction spring's anchor */
+    double offset_m;           /* depth from which the force rises: hd_contact_force.c */
     double normal_n;           /* normal force at the last tick, without the ramp */
     double force_n[2];         /* force at the last tick, with the ramp */
     struct hd_contact_point last; /* contact point at the last tick; its normal stays valid after the contact */
