@@ -6,14 +6,11 @@
 /* Height of the proxy above its surface: large enough to differ from a point on it, too small to be felt. */
 #define HD_PROXY_LIFT_M 1e-9
 #define HD_PROXY_ITERATIONS 3
-/* Scalar product of the normals of two surfaces that form a corner of 60 degrees. */
-#define HD_PROXY_NARROW_CORNER (-0.5)
 
 /* Whether plane `i` forms a narrow corner with one of a set of planes. */
 HD_RT static int is_in_narrow_corner(const struct hd_proxy *proxy, uint32_t i, uint32_t planes) {
     for (uint32_t other = 0; other < proxy->plane_count; other++) {
-        if ((planes & 1u << other) &&
-            hd_dot(proxy->plane[other].normal, proxy->plane[i].normal) < HD_PROXY_NARROW_CORNER) {
+        if ((planes & 1u << other) && hd_proxy_is_narrow(&proxy->plane[other], &proxy->plane[i])) {
             return 1;
         }
     }
@@ -49,7 +46,7 @@ HD_RT static uint32_t projected_planes(const struct hd_proxy *proxy, uint32_t sl
 
 HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m[2], uint32_t slot,
                            double projected_m[2]) {
-    const uint32_t planes = projected_planes(proxy, slot);
+    const uint32_t planes = proxy->narrow ? projected_planes(proxy, slot) : UINT32_MAX;
     int moved = 0;
     projected_m[0] = position_m[0];
     projected_m[1] = position_m[1];
@@ -58,7 +55,7 @@ HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m
         int any = 0;
         for (uint32_t i = 0; i < proxy->plane_count; i++) {
             const struct hd_proxy_plane *plane = &proxy->plane[i];
-            if (!(planes & 1u << i)) {
+            if (plane->slot == slot || !(planes & 1u << i)) {
                 continue;
             }
             double step[2];
