@@ -7,14 +7,11 @@
 #define HD_PROXY_LIFT_M HD_FLUSH_M
 #define HD_PROXY_ITERATIONS 3
 #define HD_FLUSH_SLOPE 1e-3 /* flush faces are turned by far less, the faces of a corner by more */
-/* Scalar product of the normals of two surfaces that form a corner of 60 degrees. */
-#define HD_PROXY_NARROW_CORNER (-0.5)
 
 /* Whether plane `i` forms a narrow corner with one of a set of planes. */
 HD_RT static int is_in_narrow_corner(const struct hd_proxy *proxy, uint32_t i, uint32_t planes) {
     for (uint32_t other = 0; other < proxy->plane_count; other++) {
-        if ((planes & 1u << other) &&
-            hd_dot(proxy->plane[other].normal, proxy->plane[i].normal) < HD_PROXY_NARROW_CORNER) {
+        if ((planes & 1u << other) && hd_proxy_is_narrow(&proxy->plane[other], &proxy->plane[i])) {
             return 1;
         }
     }
@@ -50,7 +47,7 @@ HD_RT static uint32_t projected_planes(const struct hd_proxy *proxy, uint32_t sl
 
 HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m[2], uint32_t slot,
                            double projected_m[2]) {
-    const uint32_t planes = projected_planes(proxy, slot);
+    const uint32_t planes = proxy->narrow ? projected_planes(proxy, slot) : UINT32_MAX;
     int moved = 0;
     projected_m[0] = position_m[0];
     projected_m[1] = position_m[1];
@@ -59,7 +56,7 @@ HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m
         int any = 0;
         for (uint32_t i = 0; i < proxy->plane_count; i++) {
             const struct hd_proxy_plane *plane = &proxy->plane[i];
-            if (!(planes & 1u << i)) {
+            if (plane->slot == slot || !(planes & 1u << i)) {
                 continue;
             }
             double step[2];

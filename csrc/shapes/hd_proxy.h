@@ -13,6 +13,7 @@
 
 #include "api/hd_core.h"
 #include "base/hd_rt.h"
+#include "base/hd_vector.h"
 
 /* A point at most this far, in m, from the surface of a solid counts as on it. It is above the rounding of any
  * reachable coordinate. */
@@ -25,6 +26,8 @@
  * HD_FLUSH_M past its end, and the two can overlap by HD_FLUSH_M. */
 #define HD_SEAM_M (2.0 * HD_FLUSH_M)
 
+/* Scalar product of the normals of two surfaces that form a corner of 60 degrees. */
+#define HD_PROXY_NARROW_CORNER (-0.5)
 #define HD_PROXY_PLANES 16u /* largest number of surfaces that count as pressed; typically there are two or three */
 
 struct hd_proxy {
@@ -34,12 +37,18 @@ struct hd_proxy {
     uint32_t segments;  /* 1 or 2 */
     double point[3][2]; /* segments + 1 points; the last is this sample */
     uint32_t plane_count;
+    int narrow; /* two of the planes form a corner narrower than 60 degrees */
     struct hd_proxy_plane {
         uint32_t slot;
         double depth_m; /* at the last sample */
         double normal[2];
     } plane[HD_PROXY_PLANES];
 };
+
+/* Whether two surfaces form a corner narrower than 60 degrees. */
+HD_RT static inline int hd_proxy_is_narrow(const struct hd_proxy_plane *plane, const struct hd_proxy_plane *other) {
+    return hd_dot(plane->normal, other->normal) < HD_PROXY_NARROW_CORNER;
+}
 
 /* Adds a surface that is pressed at the start of the tick. More than HD_PROXY_PLANES surfaces are ignored. */
 HD_RT static inline void hd_proxy_press(struct hd_proxy *proxy, uint32_t slot, double depth_m, const double normal[2]) {
@@ -49,6 +58,9 @@ HD_RT static inline void hd_proxy_press(struct hd_proxy *proxy, uint32_t slot, d
         plane->depth_m = depth_m;
         plane->normal[0] = normal[0];
         plane->normal[1] = normal[1];
+        for (const struct hd_proxy_plane *other = proxy->plane; other < plane; other++) {
+            proxy->narrow |= hd_proxy_is_narrow(plane, other);
+        }
     }
 }
 

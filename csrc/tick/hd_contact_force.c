@@ -415,5 +415,7 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
     }
     add_noise(context, index, &dominant, &travel, changed);
     slot->last = travel.point;
-    slot->last.depth_m += slot->offset_m;
+    if (slot->offset_m > 0.0) {
+        slot->last.depth_m += slot->offset_m;
+    }
 }

@@ -31,6 +31,7 @@ HD_RT static void begin_proxy(struct hd_context *context) {
     const struct hd_state *state = context->state;
     context->proxy.known = 0;
     context->proxy.plane_count = 0;
+    context->proxy.narrow = 0;
     for (uint32_t i = 0; i < state->active_count; i++) {
         const struct hd_contact_point *last = &state->slots[state->active[i]].last;
         hd_proxy_press(&context->proxy, state->active[i], last->depth_m, last->normal);
@@ -208,6 +209,7 @@ HD_RT static void meet_along_surface(struct hd_context *context, uint32_t index,
     hd_difference(proxy->to_m, proxy->from_m, step);
     proxy->known = 0;
     proxy->plane_count = 0;
+    proxy->narrow = 0;
     hd_proxy_press(proxy, index, first->fraction * hd_dot(step, first->point.normal), first->point.normal);
     struct hd_onset again = *onset;
     if (is_met(context, object, 0, &again)) {
