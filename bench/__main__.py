@@ -53,7 +53,7 @@ class Measurement:
 
 
 MEASUREMENTS: dict[str, Measurement] = {
-    "loops": Measurement("closed-loop error over the rate", closed_loop.loops),
+    "closed_loop": Measurement("closed-loop error over the rate", closed_loop.run),
     "displayed": Measurement("displayed acceleration: compensation off, mass, full", displayed.run),
     "stability": Measurement("stability margins: maps, and 10,000 random walls and corners", stability.run),
     "passivity": Measurement("passivity observer and controller: energy given to the hand, cost", passivity.run),
@@ -83,7 +83,7 @@ def unknown(names: Sequence[str]) -> str | None:
 
 def listed() -> str:
     """Return a line for each benchmark: its name, description and page."""
-    return "\n".join(f"  {name:10s} {each.about} ({each.page})" for name, each in MEASUREMENTS.items())
+    return "\n".join(f"  {name:11s} {each.about} ({each.page})" for name, each in MEASUREMENTS.items())
 
 
 @dataclass(slots=True)
@@ -152,7 +152,8 @@ def _write(found: Found, folder: Path, on: str, complete: bool) -> list[Path]:
             "(interleaved) in one process, and ratios are taken round by round within one run. A cost is the median "
             "over the rounds, with the tenth to the ninetieth percentile in brackets. [Benchmarks](benchmarks.md) has "
             "the times of wake-ups, commands and scenes. The command at the end of a section repeats the section's "
-            "measurements; tests in `tests/` assert the errors of the core, with margins.",
+            "measurements; the time after it is what they took. Tests in `tests/` assert the errors of the core, with "
+            "margins.",
         ),
         SPEED: (
             "Benchmarks",

@@ -232,7 +232,7 @@ def _loop_table(name: str, loop: Loop, delay_periods: int = 0) -> tuple[Table, l
     return Table(caption, heads, rows), errors
 
 
-def loops(options: Options, advance: Advance) -> Section:
+def run(options: Options, advance: Advance) -> Section:
     """Return the section with errors of the closed loop at each rate."""
     section = Section(
         "The closed loop",

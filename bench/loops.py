@@ -1,12 +1,13 @@
 """Random closed loops: do loops that the margin calls safe come to rest, and how much energy does the hand get?
 
-    python -m bench.loops [--count 10000] [--first 0] [--kind KIND]...
+    python -m bench.loops [--count 10000] [--first 0] [--kind KIND]... [--rest]
 
 A loop is a device, a hand that presses, slides and then rests, and a scene: a wall, plain, of patches or with textures,
 a corner, flush boxes with seams, a disc pressed to its centre, or several of these that overlap. Stiffnesses are 0.3 to
 1 of the safe stiffness. A scene that is not safe, or has a warning of `hapticd check`, is drawn again. Each loop runs
 with and without the passivity controller, for at most ten simulated minutes, until `hapticd.rendering.end_state` is
 certain that it rests. A loop that does not rest is run again without vibration: if it then rests, its texture drove it.
+With `--rest` each loop runs once, without vibration and controller, and the exit code is 1 if one does not rest.
 
 The energy given to the hand is the sum over samples and true positions of the handle; the servo's sum is not used.
 """
@@ -15,9 +16,12 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing import Pool
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -30,8 +34,9 @@ from hapticd.rendering.end_state import EndState, end_state
 from hapticd.rendering.offline import CompiledScene, Simulation
 from hapticd.sweeps.measures.energy import given_j
 
-Kind: TypeAlias = Literal["wall", "texture", "patches", "corner", "seam", "disc", "mixed"]
-KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+Kind: TypeAlias = Literal["wall", "texture", "patches", "corner", "seam", "disc", "mixed", "overlap"]
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)[:-1]
+"""Kinds that are drawn by default; `overlap` is drawn on request, with harder presses."""
 Mode: TypeAlias = Literal["observe", "control"]
 Tree: TypeAlias = dict[str, Any]
 
@@ -139,8 +144,43 @@ class Drawer:
             material["tap"] = {"attack_slope_per_s": self.log(10, 300), "frequency_hz": 100, "decay_time_s": 0.01}
         return material
 
+    def overlapping(self) -> Tree:
+        """Return two to five plain objects whose middles lie near the origin."""
+        found: Tree = {}
+        for name in "vwxyz"[: int(self._random.integers(2, 6))]:
+            at_m = [self.between(-0.006, 0.006), self.between(-0.006, 0.006)]
+            turn = self.between(-math.pi, math.pi)
+            normal = [-math.sin(turn), math.cos(turn)]
+            material = "abc"[int(self._random.integers(3))]
+            share = self.between(0.0, 1.0)
+            if share < 0.65:
+                size = [self.log(0.001, 0.02), self.log(0.001, 0.02)]
+                place = {"kind": "box", "center_m": at_m, "size_m": size, "angle_rad": turn}
+            elif share < 0.85:
+                place = {"kind": "disc", "center_m": at_m, "radius_m": self.log(0.001, 0.01)}
+            elif share < 0.93:
+                place = {"kind": "wall", "point_m": at_m, "normal": normal}
+            else:
+                place = {"kind": "membrane", "center_m": at_m, "normal": normal, "width_m": self.log(0.002, 0.02)}
+            found[name] = {**place, "material": material}
+        return found
+
+    def presses(self, stiffness_n_per_m: float) -> list[list[float]]:
+        """Return waypoints of a hand that presses several times with 0.5 to 9 N near the origin."""
+        points: list[list[float]] = []
+        for _ in range(int(self._random.integers(1, 4))):
+            turn, press_m = self.between(-math.pi, math.pi), self.log(0.5, 9.0) / stiffness_n_per_m
+            inward = [math.cos(turn), math.sin(turn)]
+            at_m = [self.between(-0.006, 0.006), self.between(-0.006, 0.006)]
+            for along_m in (-0.03, press_m):
+                time_s = points[-1][0] + self.between(0.05, 0.3) if points else 0.0
+                points.append([time_s, *(at_m[axis] + along_m * inward[axis] for axis in (0, 1))])
+        return points
+
     def objects(self, kind: Kind) -> Tree:
         """Return the objects of a scene with its top at y = 0, near x = 0."""
+        if kind == "overlap":
+            return self.overlapping()
         floor = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "a"}
         if kind == "patches":
             cuts = sorted(self.between(-0.015, 0.015) for _ in range(3))
@@ -210,8 +250,8 @@ def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
     for _ in range(MAX_SCENES):
         rate_hz = drawer.log(1000.0, 10_000.0)
         sim = drawer.device(rate_hz)
-        textured = kind not in ("wall", "corner")
-        limit_n = 8.9 if drawer.chance(0.5) else drawer.log(1.0, 8.9)
+        textured = kind not in ("wall", "corner", "overlap")
+        limit_n = 20.0 if kind == "overlap" else 8.9 if drawer.chance(0.5) else drawer.log(1.0, 8.9)
         source: Tree = {
             "servo": {"rate_hz": rate_hz},
             "device": {"max_force_n": limit_n, "sim": sim},
@@ -219,11 +259,14 @@ def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
             "scene": {"objects": drawer.objects(kind)},
         }
         # The margin of flanks and ramps between materials assumes at most 1 N, so the hand presses with at most 1 N.
-        press_m = drawer.between(0.2, 1.0) / sim["hand"]["stiffness_n_per_m"]
-        waypoints = drawer.waypoints(kind, press_m)
+        hand_n_per_m = sim["hand"]["stiffness_n_per_m"]
+        if kind == "overlap":
+            waypoints = drawer.presses(hand_n_per_m)
+        else:
+            waypoints = drawer.waypoints(kind, drawer.between(0.2, 1.0) / hand_n_per_m)
         sim["start_m"] = waypoints[0][1:]
         source = _scaled(source, 100.0)
-        fraction = drawer.between(0.3, 1.0)
+        fraction = drawer.between(0.9 if kind == "overlap" else 0.3, 1.0)
         for _ in range(3):  # repeated, since some margins do not scale with stiffness
             sets = evaluated(load_config(source))
             factor = float(sets.factor.min())
@@ -346,14 +389,51 @@ class Counts:
         return f"{line}{change_n:.3g} N: {', '.join(found)}" if found else ""
 
 
+# ---- Rest alone ----------------------------------------------------------------------------------------------------
+
+
+def end_of_loop(seed: int, kinds: tuple[Kind, ...]) -> tuple[Case, EndState] | None:
+    """Return how a loop ends without vibration and controller; None if no scene of this seed is safe."""
+    case = draw(seed, kinds)
+    if case is None:
+        return None
+    loop = Simulation(CompiledScene(case.config("off", vibration=False)), case.waypoints)
+    loop.advance(case.waypoints[-1][0] + AFTER_S)
+    return case, end_state(loop.advance, LONGEST_S)
+
+
+def count_rests(seeds: range, kinds: tuple[Kind, ...]) -> int:
+    """Run loops in two processes, print those that do not rest and the slowest, and return how many do not rest."""
+    began, loops, moving, slowest = time.monotonic(), 0, 0, "none"
+    longest_s = 0.0
+    with Pool(2) as workers:
+        for found in workers.imap(partial(end_of_loop, kinds=kinds), seeds, 8):
+            if found is None:
+                continue
+            case, end = found
+            loops += 1
+            line = f"seed {case.seed} {case.kind}: {end.fate}, {end.peak_m_per_s:.2g} m/s after {end.after_s:g} s"
+            if end.fate != "rests":
+                moving += 1
+                print(line, flush=True)
+            if end.after_s > longest_s:
+                longest_s, slowest = end.after_s, line
+    print(f"{loops} loops in {time.monotonic() - began:.0f} s: {moving} do not rest")
+    print(f"worst case: the slowest was {slowest}")
+    return moving
+
+
 def main() -> None:
     """Run random loops, and print the findings."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--kind", choices=KINDS, action="append")
+    parser.add_argument("--kind", choices=get_args(Kind), action="append")
+    parser.add_argument("--rest", action="store_true")
     arguments = parser.parse_args()
     kinds = tuple(arguments.kind) if arguments.kind else KINDS
+    if arguments.rest:
+        sys.exit(count_rests(range(arguments.first, arguments.first + arguments.count), kinds) > 0)
     counts, began, unsafe = Counts(), time.monotonic(), 0
     for seed in range(arguments.first, arguments.first + arguments.count):
         case = draw(seed, kinds)

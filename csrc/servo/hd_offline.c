@@ -109,7 +109,7 @@ int hd_replay(const struct hd_world *world, struct hd_state *state, const struct
             /* The position jumped, even if the recorded samples imply a lower speed. */
             const double speed = input.interval_s > 0.0 ? step_m / input.interval_s : 0.0;
             const double least = world->table.max_speed_m_per_s;
-            input.glitch_m_per_s = speed > least ? speed : least;
+            input.glitch_m_per_s = speed > least && isfinite(speed) ? speed : least;
         }
         state->tick = was->tick;
         hd_state_want_forces(state, (was->flags & HD_FLAG_FORCES_ON) != 0);

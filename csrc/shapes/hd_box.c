@@ -16,9 +16,9 @@ HD_RT static void to_box_axes(const struct hd_object *object, const double posit
     local[1] = hd_dot(offset, object->normal);
 }
 
-HD_RT static int inside(const struct hd_object *object, const double local[2]) {
-    return hd_magnitude(local[0]) < object->half_m[0] - HD_RIM_M &&
-           hd_magnitude(local[1]) < object->half_m[1] - HD_RIM_M;
+/* Whether a point is inside, more than `rim_m` below every face. */
+HD_RT static int inside(const struct hd_object *object, const double local[2], double rim_m) {
+    return hd_magnitude(local[0]) < object->half_m[0] - rim_m && hd_magnitude(local[1]) < object->half_m[1] - rim_m;
 }
 
 HD_RT static uint8_t face_of(int axis, int positive) {
@@ -57,27 +57,37 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
         return 1;
     }
     const double along = point->arc_m + hd_proxy_offset(proxy, slot, point->normal, position_m);
-    return hd_magnitude(along) > half_length(object, feature) + HD_RIM_M;
+    return hd_proxy_is_past_end(proxy, slot, point->normal, along, hd_magnitude(along) - half_length(object, feature));
 }
 
+/* How precisely a segment must enter. */
+struct rim {
+    double behind_m; /* distance behind a face at which a segment still begins in front of it */
+    double beyond_m; /* distance past the end of a face at which the face is still met */
+};
+
+/* Segments of the proxy: along pressed surfaces it passes above the sides of solids that are flush with them. From
+ * there down to the probe it meets the surface below, and so does a probe that presses nothing, between the ends of
+ * both. */
+static const struct rim ALONG_SURFACE = {HD_RIM_M, -HD_RIM_M};
+static const struct rim DOWN_TO_PROBE = {HD_RIM_M, HD_FLUSH_M};
+static const struct rim OF_PROBE = {HD_SEAM_M, HD_FLUSH_M};
+
 /* Whether the segment from a to b enters the box; finds the fraction of the segment and the face. Two faces are
- * possible only within the rim of a corner; then the one along whose normal the segment is longer is selected. */
-HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
-                        uint8_t *face) {
+ * possible only within HD_SEAM_M of a corner; then the one along whose normal the segment is longer is selected. */
+HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], const struct rim *rim,
+                        double *fraction, uint8_t *face) {
     double most = 0.0;
-    if (inside(object, a)) {
-        return 0;
-    }
     for (int axis = 0; axis < 2; axis++) {
         const double step = b[axis] - a[axis];
         const double length = hd_magnitude(step);
         const double gap = (step < 0.0 ? a[axis] : -a[axis]) - object->half_m[axis];
-        if (!(gap < length) || gap < -HD_RIM_M || length <= most) {
+        if (!(gap < length) || gap < -rim->behind_m || length <= most) {
             continue; /* the segment ends before the face, begins behind it, or is longer along the other axis */
         }
         const double cut = gap > 0.0 ? gap / length : 0.0;
         const double other = a[1 - axis] + cut * (b[1 - axis] - a[1 - axis]);
-        if (hd_magnitude(other) <= object->half_m[1 - axis] + HD_RIM_M) {
+        if (hd_magnitude(other) <= object->half_m[1 - axis] + rim->beyond_m) {
             *fraction = cut;
             *face = face_of(axis, step < 0.0);
             most = length;
@@ -101,11 +111,11 @@ HD_RT static int stood_between(const struct hd_object *object, const double prox
     double cut;
     uint8_t entered;
     to_box_axes(object, proxy_m, local);
-    return enters(object, local, was, &cut, &entered) && entered == face;
+    return enters(object, local, was, &OF_PROBE, &cut, &entered) && entered == face;
 }
 
-/* Fills in the onset at the point `hit` of the face. Returns 0 if the face was reached along another surface and the
- * proxy is not on it, so that it lies below that surface. */
+/* Fills in the onset at the point `hit` of the face, met at `onset->fraction` of the path. Returns 0 if the face was
+ * reached along another surface and the proxy is not on it, so that it lies below that surface. */
 HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *object, const double hit[2],
                           struct hd_onset *onset) {
     if (onset->slid) {
@@ -114,6 +124,10 @@ HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *
             return 0;
         }
     }
+    double probe_m[2];
+    hd_between(proxy->from_m, proxy->to_m, onset->fraction, probe_m);
+    point_on_face(object, onset->feature.face, probe_m, &onset->point);
+    onset->below_m = hd_shape_below(onset->point.depth_m);
     point_on_face(object, onset->feature.face, hit, &onset->point);
     onset->point.depth_m = 0.0;
     return 1;
@@ -123,7 +137,7 @@ HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *
  * acts at once, from the face through which the probe enters. */
 HD_RT static int follows_proxy(const struct hd_proxy *proxy, const struct hd_object *object, const double from[2],
                                const double to[2], struct hd_onset *onset) {
-    if (!enters(object, from, to, &onset->fraction, &onset->feature.face)) {
+    if (!enters(object, from, to, &OF_PROBE, &onset->fraction, &onset->feature.face)) {
         return 0;
     }
     double hit[2];
@@ -133,15 +147,17 @@ HD_RT static int follows_proxy(const struct hd_proxy *proxy, const struct hd_obj
     return begin_at(proxy, object, hit, onset);
 }
 
-/* Whether a box that appeared contains the probe; the nearest face is then in contact. */
+/* Whether a box that is not touched contains the probe, because it appeared or overlaps another solid; the nearest face
+ * is then in contact. */
 HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_object *object, const double to[2],
-                                struct hd_onset *onset) {
-    if (!inside(object, to)) {
+                                int fresh, struct hd_onset *onset) {
+    if (!inside(object, to, HD_RIM_M)) {
         return 0;
     }
     onset->silent = 1;
     onset->feature.face = nearest_face(object, to);
     point_on_face(object, onset->feature.face, proxy->to_m, &onset->point);
+    onset->below_m = fresh ? 0.0 : hd_shape_below(onset->point.depth_m);
     /* A face below a pressed surface is not touched. */
     return !has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point);
 }
@@ -154,23 +170,28 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     onset->feature = (struct hd_feature){.side = 1};
     onset->slid = 0;
     onset->stood = 0;
-    if (fresh || inside(object, from)) {
-        return contains_probe(proxy, object, to, onset);
+    if (fresh || inside(object, from, HD_SEAM_M)) {
+        return contains_probe(proxy, object, to, fresh, onset);
     }
     hd_proxy_sweep(proxy);
+    double above[2][2]; /* the proxy before and after the tick */
+    const double *local[3] = {from, to, to};
+    if (proxy->segments > 1) {
+        to_box_axes(object, proxy->point[0], above[0]);
+        to_box_axes(object, proxy->point[1], above[1]);
+        local[0] = above[0];
+        local[1] = above[1];
+    }
     for (uint32_t segment = 0; segment < proxy->segments; segment++) {
         const double *begin = proxy->point[segment];
         const double *end = proxy->point[segment + 1];
-        double a[2];
-        double b[2];
+        const struct rim *rim = proxy->segments == 1 ? &OF_PROBE : segment == 0 ? &ALONG_SURFACE : &DOWN_TO_PROBE;
         double cut;
-        to_box_axes(object, begin, a);
-        to_box_axes(object, end, b);
-        if (enters(object, a, b, &cut, &onset->feature.face)) {
+        if (enters(object, local[segment], local[segment + 1], rim, &cut, &onset->feature.face)) {
             uint8_t face;
             double straight;
             onset->silent = 0;
-            if (segment > 0 && enters(object, from, to, &straight, &face) && face == onset->feature.face) {
+            if (segment > 0 && enters(object, from, to, &OF_PROBE, &straight, &face) && face == onset->feature.face) {
                 cut = straight; /* the face lies below the pressed surface */
                 begin = proxy->from_m;
             } else {
@@ -189,8 +210,8 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
 HD_RT static int holds(const struct hd_object *object, const double point_m[2]) {
     double local[2];
     to_box_axes(object, point_m, local);
-    return hd_magnitude(local[0]) <= object->half_m[0] + HD_RIM_M &&
-           hd_magnitude(local[1]) <= object->half_m[1] + HD_RIM_M;
+    return hd_magnitude(local[0]) <= object->half_m[0] + HD_FLUSH_M &&
+           hd_magnitude(local[1]) <= object->half_m[1] + HD_FLUSH_M;
 }
 
 HD_RT static double distance(const struct hd_object *object, const double point_m[2]) {

@@ -7,28 +7,37 @@
  * the force has no step. It only moves to where K/2 (R - q)^2 is smaller, so no closed path gives energy.
  *
  * s is the arc length from the top, clockwise, in (-pi R, pi R]. It changes R/r times as fast as the position of a
- * probe at radius r, without bound near the centre. Forces that depend on s (friction, geometry) fade there: see
- * `lever`. */
+ * probe at radius r, without bound near the centre. Geometry, which depends on s, fades there: see `lever`. Friction
+ * does not depend on s. */
 #include "shapes/hd_shape.h"
 
 #define HD_DISC_TRAVEL_FACTOR 24.0
-/* Distances from the centre, in radii, above which forces that depend on s act in full, and below which they are zero.
+/* Distances from the centre, in radii, above which geometry acts in full, and below which it is zero.
  * A proxy that lags behind the probe has caught up before the probe is R HD_DISC_ZERO_RADII away from the centre, on
  * any path; the condition is sqrt(u^2 - 1) - arcsec u >= pi for u = HD_DISC_TRAVEL_FACTOR HD_DISC_ZERO_RADII. */
 #define HD_DISC_FULL_RADII 0.5
 #define HD_DISC_ZERO_RADII 0.2
+/* A point nearer to the centre than this, m, counts as the centre, which has no bearing: the squares of its coordinates
+ * could be subnormal. */
+#define HD_DISC_CENTRE_M 1e-140
 /* Value of the travel if a contact begins or the disc was moved: the bearing turns to the probe at once, but not to the
  * far side of the centre. */
 #define UNLIMITED_TRAVEL_M 1e300
+
+/* Returns the distance of an offset from the centre, m; 0: it counts as the centre. */
+HD_RT static double distance_of(const double offset[2]) {
+    const double distance = hd_root(hd_dot(offset, offset));
+    return distance >= HD_DISC_CENTRE_M ? distance : 0.0;
+}
 
 /* Turns the bearing towards the offset, by an angle of at most `turn`. A probe outside on the far side did not move
  * there along the rim: it passed through the disc fast, or is held by other pressed surfaces too. The bearing then
  * stays at the side that was touched. */
 HD_RT static void turn_bearing(const double offset[2], double radius_m, double turn, struct hd_contact_point *point) {
     const double bearing[2] = {point->normal[0], point->normal[1]};
-    const double distance = hd_root(hd_dot(offset, offset));
+    const double distance = distance_of(offset);
     const double across = bearing[0] * offset[1] - bearing[1] * offset[0];
-    const int ahead = hd_dot(offset, bearing) > 0.0;
+    const int ahead = distance > 0.0 && hd_dot(offset, bearing) > 0.0;
     if (ahead && hd_magnitude(across) <= turn * distance) {
         point->normal[0] = offset[0] / distance;
         point->normal[1] = offset[1] / distance;
@@ -120,8 +129,8 @@ HD_RT static int enters(const struct hd_object *object, const double a[2], const
     return *fraction < 1.0;
 }
 
-/* Fills in the onset at the point `hit` of the rim. Returns 0 if the disc was reached along another surface and the
- * proxy is not on it, so that it lies below that surface. */
+/* Fills in the onset at the point `hit` of the rim, met at `onset->fraction` of the path. Returns 0 if the disc was
+ * reached along another surface and the proxy is not on it, so that it lies below that surface. */
 HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *object, const double hit[2],
                           struct hd_onset *onset) {
     double offset[2];
@@ -134,6 +143,10 @@ HD_RT static int begin_at(const struct hd_proxy *proxy, const struct hd_object *
             return 0;
         }
     }
+    double probe_m[2];
+    hd_between(proxy->from_m, proxy->to_m, onset->fraction, probe_m);
+    point_at(object, bearing, UNLIMITED_TRAVEL_M, probe_m, &onset->point);
+    onset->below_m = hd_shape_below(onset->point.depth_m);
     point_at(object, bearing, 0.0, hit, &onset->point);
     onset->point.arc_m = arc_length(object, onset->point.normal);
     onset->point.depth_m = 0.0;
@@ -153,11 +166,12 @@ HD_RT static int follows_proxy(const struct hd_proxy *proxy, const struct hd_obj
     return begin_at(proxy, object, hit, onset);
 }
 
-/* Whether a disc that appeared contains the probe. */
-HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_object *object, struct hd_onset *onset) {
+/* Whether a disc that is not touched contains the probe, because it appeared or overlaps another solid. */
+HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_object *object, int fresh,
+                                struct hd_onset *onset) {
     double to[2];
     hd_difference(proxy->to_m, object->point_m, to);
-    const double distance = hd_root(hd_dot(to, to));
+    const double distance = distance_of(to);
     if (!(distance < object->half_m[0])) {
         return 0;
     }
@@ -165,6 +179,7 @@ HD_RT static int contains_probe(const struct hd_proxy *proxy, const struct hd_ob
     const double radial[2] = {distance > 0.0 ? to[0] / distance : 0.0, distance > 0.0 ? to[1] / distance : 0.0};
     point_at(object, distance > 0.0 ? radial : object->normal, 0.0, proxy->to_m, &onset->point);
     onset->point.arc_m = arc_length(object, onset->point.normal);
+    onset->below_m = fresh ? 0.0 : hd_shape_below(onset->point.depth_m);
     return 1;
 }
 
@@ -176,7 +191,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     onset->slid = 0;
     onset->stood = 0;
     if (fresh || hd_dot(from, from) < inner * inner) {
-        return contains_probe(proxy, object, onset);
+        return contains_probe(proxy, object, fresh, onset);
     }
     hd_proxy_sweep(proxy);
     for (uint32_t segment = 0; segment < proxy->segments; segment++) {

@@ -38,10 +38,10 @@ HD_RT static void contact_point(const struct hd_object *object, struct hd_featur
     point_on_side(object, feature.side, position_m, point);
 }
 
-/* Whether the segment from a to b crosses the membrane; finds the fraction of the segment and the side it comes from.
- */
-HD_RT static int crosses(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
-                         int8_t *side) {
+/* Whether the segment from a to b crosses the membrane, or its line up to `beyond_m` past an end; finds the fraction of
+ * the segment and the side it comes from. */
+HD_RT static int crosses(const struct hd_object *object, const double a[2], const double b[2], double beyond_m,
+                         double *fraction, int8_t *side) {
     double begin[2];
     double end[2];
     to_membrane_axes(object, a, begin);
@@ -51,7 +51,7 @@ HD_RT static int crosses(const struct hd_object *object, const double a[2], cons
         return 0;
     }
     *fraction = begin[1] / (begin[1] - end[1]);
-    return hd_magnitude(begin[0] + *fraction * (end[0] - begin[0])) <= object->half_m[0] + HD_RIM_M;
+    return hd_magnitude(begin[0] + *fraction * (end[0] - begin[0])) <= object->half_m[0] + beyond_m;
 }
 
 HD_RT static double half_length(const struct hd_object *object, struct hd_feature feature) {
@@ -66,7 +66,7 @@ HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *
         return 1;
     }
     const double along = point->arc_m + hd_proxy_offset(proxy, slot, object->normal, position_m);
-    return hd_magnitude(along) > object->half_m[0] + HD_RIM_M;
+    return hd_proxy_is_past_end(proxy, slot, object->normal, along, hd_magnitude(along) - object->half_m[0]);
 }
 
 HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {
@@ -78,7 +78,9 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
         const double *begin = proxy->point[segment];
         const double *end = proxy->point[segment + 1];
         double cut;
-        if (!crosses(object, begin, end, &cut, &onset->feature.side)) {
+        /* Along pressed surfaces the proxy passes above an end that is flush with them. */
+        const double beyond_m = segment + 1 < proxy->segments ? -HD_RIM_M : HD_FLUSH_M;
+        if (!crosses(object, begin, end, beyond_m, &cut, &onset->feature.side)) {
             continue;
         }
         int8_t side;
@@ -87,13 +89,14 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
         onset->silent = 0;
         onset->slid = 0;
         onset->stood = 0;
-        if (segment > 0 && crosses(object, proxy->from_m, proxy->to_m, &straight, &side) &&
+        if (segment > 0 && crosses(object, proxy->from_m, proxy->to_m, HD_FLUSH_M, &straight, &side) &&
             side == onset->feature.side) {
             cut = straight; /* the membrane lies below the pressed surface */
             begin = proxy->from_m;
         } else {
             onset->slid = segment > 0;
-            onset->stood = segment > 0 && crosses(object, proxy->point[0], proxy->from_m, &straight, &side) &&
+            onset->stood = segment > 0 &&
+                           crosses(object, proxy->point[0], proxy->from_m, HD_FLUSH_M, &straight, &side) &&
                            side == onset->feature.side;
             point_on_side(object, onset->feature.side, proxy->to_m, &onset->point);
             if (onset->slid && has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
@@ -103,6 +106,10 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
         double hit[2];
         hd_between(begin, end, cut, hit);
         onset->fraction = onset->slid ? 1.0 : cut;
+        double probe_m[2];
+        hd_between(proxy->from_m, proxy->to_m, onset->fraction, probe_m);
+        point_on_side(object, onset->feature.side, probe_m, &onset->point);
+        onset->below_m = hd_shape_below(onset->point.depth_m);
         point_on_side(object, onset->feature.side, hit, &onset->point);
         onset->point.depth_m = 0.0;
         return 1;

@@ -3,12 +3,51 @@
 
 #include "base/hd_vector.h"
 
-/* Height of the proxy above its surface: large enough to differ from a point on it, too small to be felt. */
-#define HD_PROXY_LIFT_M 1e-9
+/* Height of the proxy above its surface: it passes above the side of a flush solid. Too small to be felt. */
+#define HD_PROXY_LIFT_M HD_FLUSH_M
 #define HD_PROXY_ITERATIONS 3
+#define HD_FLUSH_SLOPE 1e-3 /* flush faces are turned by far less, the faces of a corner by more */
+
+/* Whether plane `i` forms a narrow corner with one of a set of planes. */
+HD_RT static int is_in_narrow_corner(const struct hd_proxy *proxy, uint32_t i, uint32_t planes) {
+    for (uint32_t other = 0; other < proxy->plane_count; other++) {
+        if ((planes & 1u << other) && hd_proxy_is_narrow(&proxy->plane[other], &proxy->plane[i])) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+HD_RT static int is_deeper(const struct hd_proxy_plane *plane, const struct hd_proxy_plane *other) {
+    return plane->depth_m > other->depth_m || (plane->depth_m == other->depth_m && plane->slot < other->slot);
+}
+
+/* Returns the planes out of which the proxy is projected, as a set of bits: all but that of `slot`, and of a corner
+ * narrower than 60 degrees only the plane that is pressed deeper. The edge of such a corner may be far from the probe;
+ * the proxy stays on the deeper plane and does not leap to the edge. Then its distance from the probe is at most twice
+ * the largest depth. */
+HD_RT static uint32_t projected_planes(const struct hd_proxy *proxy, uint32_t slot) {
+    uint32_t planes = 0;
+    uint32_t left = (1u << proxy->plane_count) - 1u;
+    while (left != 0) {
+        uint32_t deepest = HD_PROXY_PLANES;
+        for (uint32_t i = 0; i < proxy->plane_count; i++) {
+            if ((left & 1u << i) &&
+                (deepest == HD_PROXY_PLANES || is_deeper(&proxy->plane[i], &proxy->plane[deepest]))) {
+                deepest = i;
+            }
+        }
+        left &= ~(1u << deepest);
+        if (proxy->plane[deepest].slot != slot && !is_in_narrow_corner(proxy, deepest, planes)) {
+            planes |= 1u << deepest;
+        }
+    }
+    return planes;
+}
 
 HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m[2], uint32_t slot,
                            double projected_m[2]) {
+    const uint32_t planes = proxy->narrow ? projected_planes(proxy, slot) : UINT32_MAX;
     int moved = 0;
     projected_m[0] = position_m[0];
     projected_m[1] = position_m[1];
@@ -17,7 +56,7 @@ HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m
         int any = 0;
         for (uint32_t i = 0; i < proxy->plane_count; i++) {
             const struct hd_proxy_plane *plane = &proxy->plane[i];
-            if (plane->slot == slot) {
+            if (plane->slot == slot || !(planes & 1u << i)) {
                 continue;
             }
             double step[2];
@@ -48,6 +87,18 @@ HD_RT double hd_proxy_offset(const struct hd_proxy *proxy, uint32_t slot, const 
     hd_tangent(normal, tangent);
     hd_difference(projected_m, position_m, shift);
     return hd_dot(shift, tangent);
+}
+
+HD_RT int hd_proxy_is_above_end(const struct hd_proxy *proxy, uint32_t slot, const double normal[2], double along_m) {
+    double past_end[2];
+    hd_tangent(normal, past_end);
+    for (uint32_t i = 0; i < proxy->plane_count; i++) {
+        const double rise = hd_dot(past_end, proxy->plane[i].normal);
+        if (proxy->plane[i].slot != slot && (along_m < 0.0 ? -rise : rise) > HD_FLUSH_SLOPE) {
+            return 1;
+        }
+    }
+    return 0;
 }
 
 HD_RT const struct hd_proxy *hd_proxy_sweep(struct hd_proxy *proxy) {

@@ -44,11 +44,6 @@
 #include "base/hd_vector.h"
 #include "shapes/hd_proxy.h"
 
-/* A point at most this far, in m, from the end or the surface of a shape counts as on it, so that neither rounding nor
- * an update opens a crack between adjacent shapes. It is far below the step of an encoder and above the rounding of any
- * reachable coordinate. */
-#define HD_RIM_M 1e-12
-
 /* The position of the probe relative to a surface. */
 struct hd_contact_point {
     double depth_m; /* below the surface */
@@ -68,15 +63,15 @@ struct hd_onset {
     int slid;                      /* reached along another, pressed surface: no tap */
     int stood;                     /* slid without motion of the probe: the shape already lay between proxy and probe */
     double fraction;               /* of the path from the last sample to this one, at which the surface was met */
+    double below_m;                /* depth of the probe when the surface was met; 0 if its own path met the surface */
     struct hd_contact_point point; /* where the surface was met; if silent, at the probe */
     struct hd_feature feature;
 };
 
-/* On a curved surface: ratio of the motion along the surface to that of the probe, and gain of forces that depend on s.
- */
+/* On a curved surface: ratio of the motion along the surface to that of the probe, and gain of geometry. */
 struct hd_lever {
     double slide;      /* change of s over motion of the probe along the tangent */
-    double fade;       /* gain of the friction spring and of geometry, 0 to 1 */
+    double fade;       /* gain of geometry, 0 to 1; 0: the normal may lag behind the probe */
     double fade_per_m; /* derivative of `fade` by the distance from the centre */
 };
 
@@ -94,7 +89,7 @@ struct hd_shape_operations {
      * which does not count among the pressed surfaces. NULL: it has left if it is not below the surface. */
     HD_RT int (*has_left)(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
                           struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point);
-    /* Whether a solid contains a point, including its rim (HD_RIM_M). */
+    /* Whether a solid contains a point, including its rim (boxes: HD_FLUSH_M, others: HD_RIM_M). */
     HD_RT int (*holds)(const struct hd_object *object, const double point_m[2]);
     /* Returns a lower bound of the distance of a point outside to the shape, m. */
     HD_RT double (*distance)(const struct hd_object *object, const double point_m[2]);
@@ -114,6 +109,11 @@ extern const struct hd_shape_operations hd_wall, hd_membrane, hd_box, hd_disc;
 /* By enum hd_shape; NULL for HD_SHAPE_NONE. */
 #define HD_SHAPES 5u
 extern const struct hd_shape_operations *const hd_shapes[HD_SHAPES];
+
+/* Returns the depth of a probe that is below a surface, m; 0 above it and within HD_RIM_M of it. */
+HD_RT static inline double hd_shape_below(double depth_m) {
+    return depth_m > HD_RIM_M ? depth_m : 0.0;
+}
 
 /* Returns the operations of an object whose shape is not HD_SHAPE_NONE. */
 HD_RT static inline const struct hd_shape_operations *hd_shape_of(const struct hd_object *object) {

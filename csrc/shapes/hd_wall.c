@@ -37,6 +37,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     onset->silent = 1;
     onset->slid = 0;
     onset->stood = 0;
+    onset->below_m = 0.0;
     if (!fresh) {
         struct hd_contact_point from;
         wall_point(object, proxy->from_m, &from);

@@ -10,18 +10,39 @@
 
 /* With more candidates the circle is made smaller, down to the needed radius. */
 #define HD_CANDIDATES_TARGET 16u
-/* Up to this number candidates are sorted by slot, so that the result does not depend on the order of the index. */
-#define HD_CANDIDATES_SORTED_MAX 64u
+
+/* Gaps of the Shell sort, each a little less than half of the one before. */
+static const uint32_t gaps[] = {4193, 1861, 827, 367, 163, 72, 32, 14, 6, 1};
 
 HD_RT static void sort_candidates(struct hd_candidate *candidates, uint32_t count) {
-    for (uint32_t i = 1; i < count; i++) {
-        const struct hd_candidate item = candidates[i];
-        uint32_t at = i;
-        while (at > 0 && candidates[at - 1].slot > item.slot) {
-            candidates[at] = candidates[at - 1];
-            at--;
+    for (uint32_t i = 0; i < sizeof gaps / sizeof gaps[0]; i++) {
+        const uint32_t gap = gaps[i];
+        for (uint32_t k = gap; k < count; k++) {
+            const struct hd_candidate item = candidates[k];
+            uint32_t at = k;
+            while (at >= gap && candidates[at - gap].slot > item.slot) {
+                candidates[at] = candidates[at - gap];
+                at -= gap;
+            }
+            candidates[at] = item;
         }
-        candidates[at] = item;
+    }
+}
+
+HD_RT void hd_broad_phase_gather(struct hd_state *state, double reach_m) {
+    struct hd_candidate *candidates = state->candidates;
+    uint32_t near = 0;
+    int sorted = 1;
+    for (uint32_t i = 0; i < state->candidate_count; i++) {
+        if (candidates[i].distance_m <= reach_m) {
+            const struct hd_candidate item = candidates[i];
+            sorted &= near == 0 || candidates[near - 1].slot < item.slot;
+            candidates[i] = candidates[near];
+            candidates[near++] = item;
+        }
+    }
+    if (!sorted) {
+        sort_candidates(candidates, near);
     }
 }
 

@@ -6,9 +6,15 @@
 #include "tick/hd_context.h"
 
 #define HD_CANDIDATES_MARGIN_M 1e-9 /* covers the rounding of distances */
+/* Up to this number candidates are sorted by slot, so that the result does not depend on the order of the index. Of
+ * more, only those in reach are sorted (hd_broad_phase_gather). */
+#define HD_CANDIDATES_SORTED_MAX 64u
 
 /* Queries the index for the objects within a radius of at least `needed_m` around the probe. */
 HD_RT void hd_broad_phase_query(struct hd_context *context, double needed_m);
+
+/* Moves the candidates up to `reach_m` from the centre to the front and sorts them by slot. */
+HD_RT void hd_broad_phase_gather(struct hd_state *state, double reach_m);
 
 /* Updates state->candidates, which stays unchanged in most ticks. Returns the distance from candidates_center_m up to
  * which an object can be touched in this tick. */

@@ -1,7 +1,8 @@
 /* Contacts: one life cycle for every shape.
  *
  *   free --onset--> touched            the tap is struck, the force acts at once
- *   free --inside--> touched           no tap, the force ramps up (after a jump or stall; where two solids overlap)
+ *   free --inside--> touched           no tap; after a jump or a stall the force ramps up, where solids overlap it
+ *                                      rises with further depth (hd_contact_force.c)
  *   free --appeared--> touched         no tap (the object is new, was moved or reset)
  *   touched --changed--> touched       the new parameters apply at once, the state stays (hd_contact_force.c)
  *   touched --released--> free         the probe left
@@ -56,8 +57,9 @@ HD_RT static void begin_touch(struct hd_context *context, uint32_t index, const 
     slot->surface_version = object->surface_version;
     slot->changed = onset->silent && !context->resync && hd_command_is_recent(context);
     state->change.whole |= slot->changed;
+    slot->offset_m = slot->changed || context->resync ? 0.0 : onset->below_m;
     /* While the command is off, the contact needs no separate ramp: the ramp of the command covers it. */
-    slot->ramp = onset->silent && !slot->changed && state->gain > 0.0 ? 0.0 : 1.0;
+    slot->ramp = onset->silent && !slot->changed && state->gain > 0.0 && slot->offset_m == 0.0 ? 0.0 : 1.0;
     slot->anchor_m = onset->point.arc_m;
     slot->seam = 0;
     if (onset->slid && !onset->silent) {

@@ -6,11 +6,21 @@
  * v_n = -v.n, v_t = v.t; see hd_surface.h for K, H and their slopes, hd_friction.h for friction. Vibration (grooves,
  * noise) is added to this force and does not depend on whether it is displayed.
  *
- * On a disc of radius R a probe at radius r moves by r/R of the change of s, so there the first three terms of F_t are
- * multiplied by R/r. Deep in the disc geometry and friction fade with g(r), from 1 to 0 (hd_shape.h: lever). The stored
- * energy is
- *     U = K/2 (d - g H)^2 + g k/2 (s - anchor)^2
- * and the force is its gradient, so that g' (K e H - k/2 (s - anchor)^2) along n is added to F_n. */
+ * A contact may begin with the probe at a depth d0 below the surface: the proxy reached it along another surface, or a
+ * solid that overlaps was left. Then d above is the depth less an offset. The offset begins at d0 and falls with the
+ * depth when the probe withdraws, so that the contact never gives energy that it did not take. A spring that the probe
+ * leaves sideways gives its energy to such contacts in the same tick (hd_contact_force_take_over), and along their
+ * normals at most its force.
+ *
+ * On a disc of radius R a probe at radius r moves by r/R of the change of s, so there the first two terms of F_t are
+ * multiplied by R/r. Deep in the disc geometry fades with g(r), from 1 to 0 (hd_shape.h: lever). Its energy is
+ *     U = K/2 (d - g H)^2
+ * and the force is the gradient of U, so that g' K e H along n is added to F_n.
+ *
+ * Friction acts where the probe is: the stretch z of its spring changes by the probe's own motion along the tangent,
+ * not by the change of s. So on a disc, too, k is the stiffness along the surface and mu F_n the largest friction, and
+ * the power -F_t v_t is that of the stored energy k/2 z^2. On a round surface z = s - anchor holds as well: the anchor
+ * takes up the difference between the two motions. */
 #include "tick/hd_contact_force.h"
 
 #include <math.h>
@@ -28,10 +38,9 @@
 #define HD_PI 3.14159265358979323846
 #define HD_UNBOUNDED 1e300 /* half-length, in m, of a surface that is not round */
 
-/* Whether the force on an object depends on s. */
+/* Whether the force on a round object depends on s. */
 HD_RT static int needs_arc_length(const struct hd_table *table, const struct hd_object *object) {
-    const struct hd_material *material = &table->materials[object->material];
-    return material->friction_coefficient > 0.0 || material->texture != HD_TEXTURE_NONE;
+    return table->materials[object->material].texture != HD_TEXTURE_NONE;
 }
 
 /* Finds the contact point of the probe. `met`: the contact began in this tick. */
@@ -72,15 +81,13 @@ HD_RT static inline double compute_force(const struct hd_surface *surface, const
         slope_n = elastic * surface->lowering_slope - 0.5 * surface->stiffness_slope * depth * depth;
     }
     const double drag_n = -surface->drag_n_s_per_m * hd_dot(velocity, tangent);
-    double spring_n = hd_friction(surface, normal_n, point->arc_m, anchor_m);
+    const double spring_n = hd_friction(surface, normal_n, point->arc_m, anchor_m);
     force_n[0] = normal_n;
     if (lever != NULL) {
         if (lever->fade_per_m > 0.0) {
-            const double stored = 0.5 * spring_n * (point->arc_m - *anchor_m); /* below 0 */
-            force_n[0] += lever->fade_per_m * (elastic * surface->lowering_m / lever->fade + stored);
+            force_n[0] += lever->fade_per_m * (elastic * surface->lowering_m / lever->fade);
         }
         slope_n *= lever->slide;
-        spring_n *= lever->slide * lever->fade;
     }
     force_n[1] = drag_n + slope_n + spring_n;
     return normal_n;
@@ -99,6 +106,7 @@ HD_RT static void compute_unchanged_force(const struct hd_context *context, cons
     }
     struct hd_contact_point point = slot->last;
     struct hd_surface surface = slot->surface;
+    point.depth_m -= slot->offset_m;
     double tangent[2];
     double before[2];
     double after[2];
@@ -126,6 +134,22 @@ HD_RT void hd_contact_force_drop(struct hd_context *context, uint32_t index) {
     hd_contact_end(context->state, index, context->input->time_ns);
 }
 
+/* Returns the distance, along the last tangent, of a point from the line through the centre and the last contact point
+ * on the rim: how far a probe from that line went along the surface. */
+HD_RT static double offset_along(const struct hd_slot *slot, const struct hd_object *object, const double point_m[2]) {
+    double offset[2];
+    double tangent[2];
+    hd_difference(point_m, object->point_m, offset);
+    hd_tangent_of(slot, slot->last.normal, tangent);
+    return hd_dot(offset, tangent);
+}
+
+/* Moves the anchor on a round surface whose contact point goes to `arc_m`, so that the spring's stretch changes by
+ * `slid_m`, the motion of the probe along the surface. */
+HD_RT static void move_anchor(struct hd_slot *slot, double arc_m, double slid_m) {
+    slot->anchor_m += arc_m - slot->last.arc_m - slid_m;
+}
+
 HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, const struct hd_object *object) {
     struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
@@ -145,15 +169,12 @@ HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, c
     slot->changed = 1;
     slot->pose_version = object->pose_version;
     slot->surface_version = object->surface_version;
+    if (round) {
+        move_anchor(slot, point.arc_m, moved ? offset_along(slot, object, context->proxy.from_m) : 0.0);
+    }
     slot->last = point;
     if (!(slot->surface.friction_coefficient > 0.0)) {
         slot->anchor_m = point.arc_m;
-    } else if (round) {
-        const double round_m = 2.0 * HD_PI * object->half_m[0];
-        const double stretch = point.arc_m - slot->anchor_m;
-        HD_RT_FOREIGN_BEGIN
-        slot->anchor_m += round_m * rint(stretch / round_m); /* s is periodic */
-        HD_RT_FOREIGN_END
     }
 }
 
@@ -184,10 +205,23 @@ HD_RT static int has_grooves(const struct hd_table *table, const struct hd_objec
     return object->piece_count > 0 || table->materials[object->material].texture == HD_TEXTURE_STRIKES;
 }
 
+/* Notes the energy and the force that a spring had whose surface the probe left sideways. */
+HD_RT static void free_spring(struct hd_context *context, const struct hd_slot *slot,
+                              const struct hd_contact_point *point) {
+    const double pressed_m = point->depth_m - slot->offset_m - slot->surface.lowering_m;
+    if (pressed_m > 0.0) {
+        const double force_n = slot->ramp * slot->surface.stiffness_n_per_m * pressed_m;
+        context->freed_j += 0.5 * force_n * pressed_m;
+        context->freed_n[0] += force_n * point->normal[0];
+        context->freed_n[1] += force_n * point->normal[1];
+    }
+}
+
 /* Ends a contact that the probe has left. Soon after a command the command may be the cause: it changed this surface,
  * or another one that the proxy moves along, so that the probe had left already at its last position. Then the force of
  * the contact counts as removed by the command. */
-HD_RT static void release(struct hd_context *context, uint32_t index, const struct hd_object *object) {
+HD_RT static void release(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                          const struct hd_contact_point *point) {
     struct hd_slot *slot = &context->state->slots[index];
     if (slot->changed) {
         hd_surface_noise_change(context->state, slot);
@@ -195,42 +229,86 @@ HD_RT static void release(struct hd_context *context, uint32_t index, const stru
     } else if (hd_command_is_recent(context) && has_left(context, index, object, context->proxy.from_m, &slot->last)) {
         hd_contact_force_drop(context, index);
         return;
+    } else {
+        free_spring(context, slot, point);
     }
     hd_contact_end(context->state, index, context->input->time_ns);
 }
 
-/* Fills in the travel along a round surface. At the bottom s jumps by the circumference; the anchor jumps with it. */
-HD_RT static void find_travel_around(struct hd_slot *slot, const struct hd_object *object, struct hd_travel *travel) {
+/* Returns the contact that takes over next: the one with an offset along whose normal most of the freed force acts.
+ * NULL: there is none. The result does not depend on the order of the contacts. */
+HD_RT static struct hd_slot *next_heir(const struct hd_context *context) {
+    const struct hd_state *state = context->state;
+    struct hd_slot *heir = NULL;
+    uint32_t index_of_heir = 0;
+    double most_n = 0.0;
+    for (uint32_t i = 0; i < state->active_count; i++) {
+        const uint32_t index = state->active[i];
+        struct hd_slot *slot = &state->slots[index];
+        const double freed_n = hd_dot(context->freed_n, slot->last.normal);
+        if (slot->offset_m > 0.0 && slot->ramp == 1.0 &&
+            (freed_n > most_n || (heir != NULL && freed_n == most_n && index < index_of_heir))) {
+            heir = slot;
+            index_of_heir = index;
+            most_n = freed_n;
+        }
+    }
+    return heir;
+}
+
+HD_RT void hd_contact_force_take_over(struct hd_context *context) {
+    for (uint32_t i = 0; i < context->state->active_count && context->freed_j > 0.0; i++) {
+        struct hd_slot *slot = next_heir(context);
+        if (slot == NULL) {
+            return;
+        }
+        const double stiffness = slot->surface.stiffness_n_per_m;
+        const double *normal = slot->last.normal;
+        const double from_m = slot->last.depth_m - slot->offset_m - slot->surface.lowering_m;
+        const double pressed_m = from_m > 0.0 ? from_m : 0.0;
+        const double by_energy_m = hd_root(pressed_m * pressed_m + 2.0 * context->freed_j / stiffness);
+        const double by_force_m = pressed_m + hd_dot(context->freed_n, normal) / stiffness;
+        const double most_m = (by_energy_m < by_force_m ? by_energy_m : by_force_m) - from_m;
+        const double part_m = most_m < slot->offset_m ? most_m : slot->offset_m;
+        const double more_m = from_m + part_m > pressed_m ? from_m + part_m - pressed_m : 0.0;
+        slot->offset_m -= part_m;
+        slot->normal_n += stiffness * more_m;
+        context->freed_j -= 0.5 * stiffness * more_m * (2.0 * pressed_m + more_m);
+        for (int axis = 0; axis < 2; axis++) {
+            const double more_n = stiffness * more_m * normal[axis];
+            slot->force_n[axis] += more_n;
+            context->force_n[axis] += more_n;
+            context->freed_n[axis] -= more_n;
+        }
+    }
+}
+
+/* Fills in the travel along a round surface. At the bottom s jumps by the circumference. */
+HD_RT static void find_travel_around(const struct hd_slot *slot, const struct hd_object *object,
+                                     struct hd_travel *travel) {
     const double half_length_m = HD_PI * object->half_m[0];
     const double step = travel->point.arc_m - slot->last.arc_m;
     travel->half_length_m = half_length_m;
     travel->jump_m = step > half_length_m ? -2.0 * half_length_m : step < -half_length_m ? 2.0 * half_length_m : 0.0;
-    slot->anchor_m -= travel->jump_m;
 }
 
-/* Computes the surface properties at the contact point, directly in the slot: copying a struct that was just written
- * costs a third of the time of a contact. */
-HD_RT static inline struct hd_dominant_material find_surface(const struct hd_table *table,
-                                                             const struct hd_object *object,
-                                                             const struct hd_travel *travel, struct hd_slot *slot) {
-    const double arc_m = travel->point.arc_m;
-    const double coefficient = slot->surface.friction_coefficient;
-    const double stiffness = slot->surface.friction_stiffness_n_per_m;
-    const struct hd_dominant_material dominant =
-        hd_surface_at(table, object, arc_m, travel->half_length_m, &slot->surface);
-    if (slot->seam > 0) {
-        hd_seam_ease(slot, arc_m, coefficient, stiffness);
-    }
-    return dominant;
+/* Returns the motion of the probe along a round surface in this tick. Along the mean of the last tangent and this one a
+ * path to and fro sums up to 0. In the middle, where the bearing turns faster than the probe goes round, the last
+ * tangent alone counts: the turn itself must not stretch the spring. */
+HD_RT static double slid_around(const struct hd_context *context, const struct hd_slot *slot,
+                                const struct hd_travel *travel, const struct hd_lever *lever) {
+    double step[2];
+    double tangent[2];
+    hd_difference(context->proxy.to_m, context->proxy.from_m, step);
+    hd_tangent_of(slot, slot->last.normal, tangent);
+    const double along = hd_dot(step, tangent);
+    return lever->fade > 0.0 ? 0.5 * (along + hd_dot(step, travel->tangent)) : along;
 }
 
-/* Scales the geometry by `part`, 0 to 1; at 0 the anchor of friction follows the probe. */
-HD_RT static void fade_geometry(struct hd_slot *slot, double arc_m, double part) {
+/* Scales the geometry by `part`, 0 to 1. */
+HD_RT static void fade_geometry(struct hd_slot *slot, double part) {
     slot->surface.lowering_m *= part;
     slot->surface.lowering_slope *= part;
-    if (!(part > 0.0)) {
-        slot->anchor_m = arc_m;
-    }
 }
 
 /* Adds the force of this contact, given along normal and tangent, to the sum. */
@@ -287,10 +365,21 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         find_travel_around(slot, object, &travel);
         shape->lever(object, travel.point.depth_m, &round);
         lever = &round;
+        if (context->table->materials[object->material].friction_coefficient > 0.0) {
+            const int met = fraction > 0.0;
+            move_anchor(slot, travel.point.arc_m,
+                        met ? offset_along(slot, object, context->proxy.to_m)
+                            : slid_around(context, slot, &travel, lever));
+        }
     }
-    const struct hd_dominant_material dominant = find_surface(context->table, object, &travel, slot);
+    /* The surface properties are computed directly in the slot: copying a struct that was just written costs a third of
+     * the time of a contact. */
+    struct hd_dominant_material dominant;
+    if (slot->seam == 0) {
+        dominant = hd_surface_at(context->table, object, travel.point.arc_m, travel.half_length_m, &slot->surface);
+    }
     if (lever != NULL && lever->fade < 1.0) {
-        fade_geometry(slot, travel.point.arc_m, lever->fade);
+        fade_geometry(slot, lever->fade);
     }
     const int grooves = has_grooves(context->table, object);
     if (has_left(context, index, object, context->proxy.to_m, &travel.point)) {
@@ -298,12 +387,19 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
             travel.part = contact_part(slot, object, &travel.point);
             hd_grooves_pass(context, index, object, &travel);
         }
-        release(context, index, object);
+        release(context, index, object, &travel.point);
         return;
+    }
+    if (slot->seam > 0) { /* not before: the next surface continues the ramp from the properties of the last tick */
+        dominant = hd_seam_ease(context->table, object, travel.point.arc_m, slot);
     }
 
     if (slot->preloaded != 0) {
         hd_preload_follow(context, index, dominant.material, &travel.point);
+    }
+    if (slot->offset_m > 0.0) {
+        slot->offset_m = travel.point.depth_m < slot->offset_m ? travel.point.depth_m : slot->offset_m;
+        travel.point.depth_m -= slot->offset_m;
     }
     double pressed_n[2];
     const double normal_n = compute_force(&slot->surface, &travel.point, context->input->velocity_m_per_s,
@@ -323,4 +419,7 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
     }
     add_noise(context, index, &dominant, &travel, changed);
     slot->last = travel.point;
+    if (slot->offset_m > 0.0) {
+        slot->last.depth_m += slot->offset_m;
+    }
 }

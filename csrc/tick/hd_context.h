@@ -21,6 +21,8 @@ struct hd_context {
     double object_n[2]; /* the part of it that objects exert */
     double noise_n[2];  /* of coloured noise, summed up in the course of the tick */
     double noise_rms_n; /* sum of the RMS of the noises */
+    double freed_j;    /* energy of the springs that the probe left sideways in this tick and that no other took over */
+    double freed_n[2]; /* force of these springs */
     struct hd_proxy proxy;
     uint32_t onset_count; /* contacts of this tick that have not begun yet */
     uint32_t onset_slots[HD_ONSETS_MAX];

@@ -2,7 +2,8 @@
  *
  * A spring of stiffness k ties the probe to an anchor on the surface. While k |s - anchor| <= mu F_n the anchor does
  * not move, so the probe neither drifts under load nor chatters at rest. Beyond that the anchor follows the probe, so
- * that the force of the spring is at most mu F_n. */
+ * that the force of the spring is at most mu F_n. On a round surface the anchor also moves with s, so that s - anchor
+ * is the motion of the probe itself (hd_contact_force.c). */
 #ifndef HD_FRICTION_H
 #define HD_FRICTION_H
 

@@ -186,7 +186,8 @@ HD_RT void hd_grooves_pass(struct hd_context *context, uint32_t index, const str
         .speed_m_per_s = hd_dot(velocity, travel->tangent),
         .true_speed_m_per_s = hd_dot(context->input->true_velocity_m_per_s, travel->tangent),
     };
-    if (travel->jump_m != 0.0 && hd_magnitude(stretch.to_m) >= half_length_m) {
+    /* A step across the bottom can be too small to change s there. */
+    if (travel->jump_m != 0.0 && hd_magnitude(stretch.to_m) >= half_length_m && stretch.to_m != stretch.from_m) {
         const double bottom = (1.0 + HD_GROOVE_SEAM) * half_length_m;
         const double end = stretch.to_m > 0.0 ? bottom : -bottom;
         const double first_part = (end - stretch.from_m) / (stretch.to_m - stretch.from_m);

@@ -3,9 +3,10 @@
  * Noise has a separate gain (hd_limit_noise), equal for samples of either sign. A strike is scaled as one before it
  * sounds (hd_strikes_apply). An effect of the device cannot be scaled once it plays: the limit is reduced by its force
  * meanwhile. The command can still exceed the limit if a contact force grows while modes ring: then all ringing modes
- * continue with the factor g for which the command just reaches the limit, |contact + g vibration| = max. If the
- * contact force alone exceeds the limit, the sum is cut in its direction, and ringing modes fade out over
- * HD_LIMIT_RAMP_S. */
+ * continue with the largest factor g for which both signs of the vibration fit, |contact + g vibration| <= max and
+ * |contact - g vibration| <= max. So vibration against the contact force ends as that force reaches the limit, and does
+ * not take its place. While the contact force alone exceeds the limit, it is cut in its direction and vibration is not
+ * displayed; ringing modes fade out over HD_LIMIT_RAMP_S. */
 #include "tick/hd_limit.h"
 
 #include <math.h>
@@ -31,49 +32,45 @@ HD_RT double hd_limit_noise(const struct hd_state *state, const struct hd_table 
 
 HD_RT double hd_limit_within(double limit_n, double keep, const double contact_n[2], const double vibration_n[2],
                              double force_n[2]) {
-    force_n[0] = contact_n[0] + vibration_n[0];
-    force_n[1] = contact_n[1] + vibration_n[1];
-    if (force_n[0] * force_n[0] + force_n[1] * force_n[1] <= HD_JUST_BELOW * limit_n * limit_n) {
+    if (hd_limit_widest_square(contact_n, vibration_n) <= HD_JUST_BELOW * limit_n * limit_n) {
+        force_n[0] = contact_n[0] + vibration_n[0];
+        force_n[1] = contact_n[1] + vibration_n[1];
         return 1.0;
     }
-    const double contact = contact_n[0] * contact_n[0] + contact_n[1] * contact_n[1];
-    if (contact <= HD_JUST_BELOW * limit_n * limit_n) {
-        /* The larger root of |contact + g vibration|^2 = limit^2. */
-        const double a = vibration_n[0] * vibration_n[0] + vibration_n[1] * vibration_n[1];
-        const double b = contact_n[0] * vibration_n[0] + contact_n[1] * vibration_n[1];
-        const double c = contact - limit_n * limit_n;
+    if (!hd_limit_is_beyond(contact_n, limit_n)) {
+        /* The larger root of |contact + g vibration|^2 = limit^2, for the sign of the vibration with the larger sum. */
+        const double a = hd_dot(vibration_n, vibration_n);
+        const double b = hd_magnitude(hd_dot(contact_n, vibration_n));
+        const double c = hd_dot(contact_n, contact_n) - limit_n * limit_n;
         const double root = hd_root(b * b - a * c);
         const double factor = b > 0.0 ? -c / (b + root) : (root - b) / a;
         force_n[0] = HD_JUST_BELOW * (contact_n[0] + factor * vibration_n[0]);
         force_n[1] = HD_JUST_BELOW * (contact_n[1] + factor * vibration_n[1]);
         return factor;
     }
-    const double sum[2] = {contact_n[0] + keep * vibration_n[0], contact_n[1] + keep * vibration_n[1]};
-    const double size = hd_root(hd_dot(sum, sum));
+    const double size = hd_root(hd_dot(contact_n, contact_n));
     const double cut = size > limit_n ? limit_n / size : 1.0;
-    force_n[0] = HD_JUST_BELOW * (cut * sum[0]);
-    force_n[1] = HD_JUST_BELOW * (cut * sum[1]);
+    force_n[0] = HD_JUST_BELOW * (cut * contact_n[0]);
+    force_n[1] = HD_JUST_BELOW * (cut * contact_n[1]);
     return keep;
 }
 
 HD_RT double hd_limit_within_whole(double limit_n, double keep, const double contact_n[2], const double whole_n[2],
                                    const double vibration_n[2], double force_n[2]) {
     const double factor = hd_limit_within(limit_n, keep, whole_n, vibration_n, force_n);
-    /* If contact_n is whole_n cut to the limit, the result is final, to the last bit: except with vibration and a
-     * contact force above the limit, where contact_n is limited together with the vibration. */
+    /* If contact_n is whole_n cut to the limit, the result is final, to the last bit. */
     const double cut = hd_limit_cut(whole_n, limit_n);
-    const int bare = vibration_n[0] == 0.0 && vibration_n[1] == 0.0;
-    if ((bare || cut == 1.0) && contact_n[0] == cut * whole_n[0] && contact_n[1] == cut * whole_n[1]) {
+    if (contact_n[0] == cut * whole_n[0] && contact_n[1] == cut * whole_n[1]) {
         return factor;
     }
-    const double vibration[2] = {factor * vibration_n[0], factor * vibration_n[1]};
+    const double shown = hd_limit_is_beyond(whole_n, limit_n) ? 0.0 : factor;
+    const double vibration[2] = {shown * vibration_n[0], shown * vibration_n[1]};
     return factor * hd_limit_within(limit_n, 1.0, contact_n, vibration, force_n);
 }
 
 /* Scales the ringing modes by `factor`. */
 HD_RT static void scale_ringing(struct hd_state *state, double limit_n, const double contact_n[2], double factor) {
-    const int beyond = !(hd_dot(contact_n, contact_n) <= HD_JUST_BELOW * limit_n * limit_n);
-    state->ringing_gain = beyond ? state->ringing_gain * factor : 1.0;
+    state->ringing_gain = hd_limit_is_beyond(contact_n, limit_n) ? state->ringing_gain * factor : 1.0;
     if (factor < 1.0) {
         hd_modes_scale(state, factor);
     }
@@ -91,7 +88,7 @@ HD_RT void hd_limit_report(struct hd_state *state, double wanted_n, int64_t time
 HD_RT void hd_limit_exceeded(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
                              const double vibration_n[2], int64_t time_ns, double force_n[2], uint32_t *flags) {
     const double limit = hd_limit_of(state, table);
-    hd_limit_report(state, hd_root(hd_dot(force_n, force_n)), time_ns, flags);
+    hd_limit_report(state, hd_root(hd_limit_widest_square(contact_n, vibration_n)), time_ns, flags);
     scale_ringing(state, limit, contact_n,
                   hd_limit_within(limit, hd_limit_keep(state, table), contact_n, vibration_n, force_n));
 }
@@ -100,11 +97,11 @@ HD_RT void hd_limit_ramped(struct hd_state *state, const struct hd_table *table,
                            const double whole_n[2], const double vibration_n[2], int64_t time_ns, double force_n[2],
                            uint32_t *flags) {
     const double limit = hd_limit_of(state, table);
-    const double wanted[2] = {whole_n[0] + vibration_n[0], whole_n[1] + vibration_n[1]};
+    const double widest = hd_limit_widest_square(whole_n, vibration_n);
     const double keep = hd_limit_keep(state, table);
     const double factor = hd_limit_within_whole(limit, keep, contact_n, whole_n, vibration_n, force_n);
-    if (factor < 1.0 || !(wanted[0] * wanted[0] + wanted[1] * wanted[1] <= HD_JUST_BELOW * limit * limit)) {
-        hd_limit_report(state, hd_root(hd_dot(wanted, wanted)), time_ns, flags);
+    if (factor < 1.0 || !(widest <= HD_JUST_BELOW * limit * limit)) {
+        hd_limit_report(state, hd_root(widest), time_ns, flags);
     } else {
         state->saturated = state->yields;
     }

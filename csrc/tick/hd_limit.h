@@ -36,8 +36,22 @@ HD_RT static inline double hd_limit_cut(const double force_n[2], double limit_n)
     return square > limit_n * limit_n ? limit_n / hd_root(square) : 1.0;
 }
 
-/* Computes contact plus vibration within `limit_n`. Returns the factor of the vibration for which there is room; if the
- * contact force alone exceeds the limit the factor is `keep`, and the sum is cut to the limit in its direction. */
+/* Returns the square of |contact| plus vibration of the sign that makes the sum larger, N^2. */
+HD_RT static inline double hd_limit_widest_square(const double contact_n[2], const double vibration_n[2]) {
+    const double sign = hd_dot(contact_n, vibration_n) < 0.0 ? -1.0 : 1.0;
+    const double x = contact_n[0] + sign * vibration_n[0];
+    const double y = contact_n[1] + sign * vibration_n[1];
+    return x * x + y * y;
+}
+
+/* Whether a contact force leaves no room for vibration; also for NaN. */
+HD_RT static inline int hd_limit_is_beyond(const double contact_n[2], double limit_n) {
+    return !(hd_dot(contact_n, contact_n) <= HD_JUST_BELOW * limit_n * limit_n);
+}
+
+/* Computes contact plus vibration within `limit_n`. Returns the factor of the vibration for which there is room with
+ * either sign; if the contact force alone exceeds the limit the factor is `keep`, and the force is the contact force,
+ * cut to the limit. */
 HD_RT double hd_limit_within(double limit_n, double keep, const double contact_n[2], const double vibration_n[2],
                              double force_n[2]);
 
@@ -58,7 +72,7 @@ HD_RT static inline double hd_limit_of(const struct hd_state *state, const struc
 }
 
 /* Computes the command of a tick with an active ramp. `whole_n`: contact force before the limit; `contact_n`: the part
- * of it that is felt. Vibration leaves room for `whole_n`. */
+ * of it that is felt. Vibration leaves room for `whole_n` with either sign. */
 HD_RT void hd_limit_ramped(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
                            const double whole_n[2], const double vibration_n[2], int64_t time_ns, double force_n[2],
                            uint32_t *flags);
@@ -72,9 +86,9 @@ HD_RT static inline void hd_limit_apply(struct hd_state *state, const struct hd_
                                         const double vibration_n[2], int64_t time_ns, double force_n[2],
                                         uint32_t *flags) {
     const double limit = hd_limit_of(state, table);
-    force_n[0] = contact_n[0] + vibration_n[0];
-    force_n[1] = contact_n[1] + vibration_n[1];
-    if (force_n[0] * force_n[0] + force_n[1] * force_n[1] <= HD_JUST_BELOW * limit * limit) {
+    if (hd_limit_widest_square(contact_n, vibration_n) <= HD_JUST_BELOW * limit * limit) {
+        force_n[0] = contact_n[0] + vibration_n[0];
+        force_n[1] = contact_n[1] + vibration_n[1];
         state->saturated = state->yields;
         state->ringing_gain = 1.0;
     } else { /* also for NaN, which hd_tick finds afterwards */

@@ -31,6 +31,7 @@ HD_RT static void begin_proxy(struct hd_context *context) {
     const struct hd_state *state = context->state;
     context->proxy.known = 0;
     context->proxy.plane_count = 0;
+    context->proxy.narrow = 0;
     for (uint32_t i = 0; i < state->active_count; i++) {
         const struct hd_contact_point *last = &state->slots[state->active[i]].last;
         hd_proxy_press(&context->proxy, state->active[i], last->depth_m, last->normal);
@@ -69,6 +70,59 @@ HD_RT static int is_met(struct hd_context *context, const struct hd_object *obje
     return hd_shape_of(object)->meets(&context->proxy, object, fresh, onset);
 }
 
+/* Returns half the length of a surface; 0: it has no ends. */
+HD_RT static double half_length_of(const struct hd_object *object, struct hd_feature feature) {
+    const struct hd_shape_operations *shape = hd_shape_of(object);
+    return shape->half_length ? shape->half_length(object, feature) : 0.0;
+}
+
+/* Whether another solid lies in front of a face next to the end at which a probe that presses nothing meets it: the
+ * face is hidden, and the path passes over the seam of two flush solids. `past_end`, out: direction from the face past
+ * that end. */
+HD_RT static int is_hidden(const struct hd_context *context, uint32_t index, const struct hd_object *object,
+                           const struct hd_onset *onset, double past_end[2]) {
+    const struct hd_state *state = context->state;
+    const double half_m = half_length_of(object, onset->feature);
+    if (half_m == 0.0 || hd_shape_of(object)->membrane || hd_magnitude(onset->point.arc_m) < half_m - HD_SEAM_M) {
+        return 0;
+    }
+    double front_m[2];
+    hd_tangent(onset->point.normal, past_end);
+    hd_between(context->proxy.from_m, context->proxy.to_m, onset->fraction, front_m);
+    for (int axis = 0; axis < 2; axis++) {
+        past_end[axis] *= onset->point.arc_m < 0.0 ? -1.0 : 1.0;
+        front_m[axis] += HD_SEAM_M * (onset->point.normal[axis] - past_end[axis]);
+    }
+    for (uint32_t i = 0; i < state->candidate_count; i++) {
+        const uint32_t slot = state->candidates[i].slot;
+        if (slot == index || slot >= context->table->object_count) {
+            continue;
+        }
+        const struct hd_object *other = &context->table->objects[slot];
+        if (other->shape != HD_SHAPE_NONE && hd_shape_of(other)->holds(other, front_m)) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* Tests the path again, shifted by 2 HD_SEAM_M past the end of a hidden face: there it meets the adjacent face or none.
+ */
+HD_RT static int is_met_beside(struct hd_context *context, const struct hd_object *object, const double past_end[2],
+                               struct hd_onset *onset) {
+    struct hd_proxy *proxy = &context->proxy;
+    const struct hd_proxy before = *proxy;
+    for (int axis = 0; axis < 2; axis++) {
+        proxy->from_m[axis] += 2.0 * HD_SEAM_M * past_end[axis];
+        proxy->to_m[axis] += 2.0 * HD_SEAM_M * past_end[axis];
+    }
+    proxy->known = 0;
+    proxy->plane_count = 0;
+    const int met = is_met(context, object, 0, onset);
+    *proxy = before;
+    return met;
+}
+
 HD_RT static void begin_contact(struct hd_context *context, uint32_t index, const struct hd_object *object,
                                 const struct hd_onset *onset) {
     hd_contact_begin(context, index, object, onset);
@@ -86,6 +140,11 @@ HD_RT static void update_untouched(struct hd_context *context, uint32_t index, c
     }
     struct hd_onset onset;
     if (!(resumes && still_pressed(context, index, object, &onset)) && !is_met(context, object, fresh, &onset)) {
+        return;
+    }
+    double past_end[2];
+    if (!onset.silent && context->proxy.plane_count == 0 && is_hidden(context, index, object, &onset, past_end) &&
+        !is_met_beside(context, object, past_end, &onset)) {
         return;
     }
     if (onset.stood && hd_command_is_recent(context)) {
@@ -150,9 +209,15 @@ HD_RT static void meet_along_surface(struct hd_context *context, uint32_t index,
     hd_difference(proxy->to_m, proxy->from_m, step);
     proxy->known = 0;
     proxy->plane_count = 0;
+    proxy->narrow = 0;
     hd_proxy_press(proxy, index, first->fraction * hd_dot(step, first->point.normal), first->point.normal);
     struct hd_onset again = *onset;
     if (is_met(context, object, 0, &again)) {
+        double landed_m[2];
+        struct hd_contact_point point;
+        hd_between(proxy->from_m, proxy->to_m, first->fraction, landed_m);
+        hd_shape_of(object)->contact_point(object, again.feature, again.point.normal, NULL, landed_m, &point);
+        again.below_m = hd_shape_below(point.depth_m);
         *onset = again;
     }
     *proxy = before;
@@ -164,14 +229,17 @@ HD_RT static int is_continuation(const struct hd_context *context, const struct 
                                  const struct hd_onset *onset) {
     const struct hd_state *state = context->state;
     const struct hd_shape_operations *shape = hd_shape_of(object);
-    if (!shape->half_length ||
-        hd_magnitude(onset->point.arc_m) < shape->half_length(object, onset->feature) - HD_RIM_M) {
+    const double half_m = half_length_of(object, onset->feature);
+    if (half_m == 0.0 || hd_magnitude(onset->point.arc_m) < half_m - HD_SEAM_M) {
         return 0;
     }
     struct hd_contact_point point;
     shape->contact_point(object, onset->feature, onset->point.normal, NULL, context->input->position_m, &point);
     for (uint32_t i = 0; i < state->active_count; i++) {
-        if (hd_seam_is_flush(&point, &state->slots[state->active[i]].last)) {
+        const struct hd_slot *slot = &state->slots[state->active[i]];
+        const struct hd_object *other = &context->table->objects[state->active[i]];
+        const double reach_m = half_m + half_length_of(other, slot->feature);
+        if (hd_seam_is_flush(&point, &slot->last, reach_m)) {
             return 1;
         }
     }
@@ -224,11 +292,17 @@ HD_RT static void update_unvisited(struct hd_context *context, const uint32_t *s
 HD_RT void hd_narrow_phase(struct hd_context *context) {
     struct hd_state *state = context->state;
     context->onset_count = 0;
+    context->freed_j = 0.0;
+    context->freed_n[0] = 0.0;
+    context->freed_n[1] = 0.0;
     if (context->new_table) {
         update_changed_contacts(context);
     }
     begin_proxy(context);
     const double reach_m = hd_broad_phase(context);
+    if (state->candidate_count > HD_CANDIDATES_SORTED_MAX) {
+        hd_broad_phase_gather(state, reach_m);
+    }
     for (uint32_t i = 0; i < state->candidate_count; i++) {
         if (state->candidates[i].distance_m <= reach_m) {
             update_object(context, state->candidates[i].slot);
@@ -244,5 +318,8 @@ HD_RT void hd_narrow_phase(struct hd_context *context) {
     state->resumed_count = 0;
     if (context->onset_count > 0) {
         begin_contacts_in_order(context);
+    }
+    if (context->freed_j > 0.0) {
+        hd_contact_force_take_over(context);
     }
 }

@@ -116,9 +116,10 @@ struct hd_slot {
     uint8_t changed;           /* a command changed this contact: the force at the end of this tick fades in */
     uint8_t held;              /* the groove at `groove_m` was struck, and the probe has not been away from it since */
     uint8_t kept;              /* its last tap is compensated and keeps the contact: hd_preload.h */
-    uint16_t seam;             /* ticks in which friction still blends from the earlier surface to this one */
+    uint16_t seam;             /* ticks in which the surface still blends from the earlier one to this one: hd_seam.h */
     double ramp;               /* of the contact force, 0 to 1: of a contact without onset that no command caused */
     double anchor_m;           /* s of the friction spring's anchor */
+    double offset_m;           /* depth from which the force rises: hd_contact_force.c */
     double normal_n;           /* normal force at the last tick, without the ramp */
     double force_n[2];         /* force at the last tick, with the ramp */
     struct hd_contact_point last; /* contact point at the last tick; its normal stays valid after the contact */

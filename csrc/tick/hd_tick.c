@@ -450,7 +450,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         tick.force_n[0] = cut * input->check_n[0];
         tick.force_n[1] = cut * input->check_n[1];
     }
-    if (!are_finite(tick.force_n, tick.contact_n)) {
+    if (!are_finite(tick.force_n, tick.contact_n) || !are_finite(tick.vibration_n, tick.vibration_n)) {
         stop_at_nonfinite(state, input, tick.flags, sample);
         return;
     }

@@ -40,7 +40,9 @@ MAX_SCENE_PATCHES: Final = 5000
 MIN_PATCH_M: Final = 1e-5
 """Minimum width of a patch, and of a gap between patches."""
 TOUCHING_DISTANCE_M: Final = 1e-9
-"""Edges of patches at a smaller distance count as touching, since 0.1 + 0.2 is not 0.3 in floating point."""
+"""Edges of patches at a smaller distance count as touching, since 0.1 + 0.2 is not 0.3 in floating point.
+
+HD_FLUSH_M of the C core is the same for faces of solids."""
 _ROUNDING_OF_WIDTHS: Final = 1e-6
 """Relative tolerance of the minimum width MIN_PATCH_M, for rounding."""
 _MAX_SHOWN_OVERLAPS: Final = 5

@@ -2,11 +2,13 @@
 
 The analysis reads the arrays of the compiled table. The region of a surface is the area in which a probe can touch it.
 For a wall this is a strip as deep as the force limit lets the probe go, for a membrane a strip around it, for a box or
-disc the entire shape. Two surfaces act together if their regions meet.
+disc the entire shape. A box that is pressed through holds the probe on its far side, too: as deep below a face as the
+force limit lets the probe go. Two surfaces act together if their regions meet, or if one is where the other is pressed
+through.
 
 A contact set is a pair that meets and all surfaces that meet both, or a surface that meets no other. All surfaces that
-a probe touches at once lie in one of the sets. If there are too many pairs to compare, all surfaces form one set. A set
-may therefore be too large, but never too small.
+a probe touches at once lie in one of the sets, except in rare cases behind discs and beyond the ends of surfaces. If
+there are too many pairs to compare, all surfaces form one set. So a set may be too large.
 """
 
 from __future__ import annotations
@@ -55,6 +57,8 @@ class _Regions(NamedTuple):
     normal: Floats
     half: Floats
     """Half extents along the tangent (n_y, -n_x) and along the normal."""
+    through: tuple[Floats, ...]
+    """The same of boxes that are pressed through along the tangent, and along the normal; empty if none can be."""
     round: npt.NDArray[np.bool_]
     """Whether the region is a circle, with the radius half[:, 0]."""
     reachable: npt.NDArray[np.bool_]
@@ -76,30 +80,49 @@ def _regions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) 
     membrane = shape == Shape.MEMBRANE
     breaks = surfaces.materials["rupture_depth_m"][objects["material"]]
     half[membrane, 1] = np.where(breaks > 0.0, np.minimum(breaks, deep), deep)[membrane]
+    box = shape == Shape.BOX
+    pressed = np.where(box[:, None], np.maximum(half, deep[:, None] - half), half)
+    through = tuple(np.where([axis == 0, axis == 1], pressed, half) + loop.encoder_step_m for axis in (0, 1))
     half += loop.encoder_step_m
     reachable = ~wall | (np.abs(height - 0.5 * deep) - 0.5 * deep <= radius)
-    return _Regions(center, normal, half, shape == Shape.DISC, reachable)
+    thin = bool((pressed > half).any())
+    return _Regions(center, normal, half, through if thin else (), shape == Shape.DISC, reachable)
 
 
 def _meet(regions: _Regions, a: Ints, b: Ints) -> npt.NDArray[np.bool_]:
-    """Return for each pair of surfaces in `a` and `b` whether their regions meet, by the separating axis theorem.
+    """Return for each pair of surfaces in `a` and `b` whether their regions meet.
 
-    The axes are normal and tangent of each rectangle, and the line between the centres.
+    This includes that one lies where the other is pressed through.
+    """
+    found = _intersect(regions, regions.half, a, b)
+    for half in regions.through:
+        for one, other in ((a, b), (b, a)):
+            apart = np.flatnonzero(~found & (half[one] > regions.half[one]).any(axis=1))
+            found[apart] = _intersect(regions, half, one[apart], other[apart])
+    return found
+
+
+def _intersect(regions: _Regions, half_of_a: Floats, a: Ints, b: Ints) -> npt.NDArray[np.bool_]:
+    """Return for each pair whether the region of `a`, with these half extents, meets that of `b`.
+
+    By the separating axis theorem; the axes are normal and tangent of each rectangle, and the line between the centres.
     """
     separated = np.zeros(len(a), dtype=bool)
     away = regions.center[b] - regions.center[a]
     distance = np.hypot(away[:, 0], away[:, 1])
     between = away / np.maximum(distance, 1e-300)[:, None]
 
-    def reach(which: Ints, axis: Floats) -> Floats:
-        normal, half = regions.normal[which], regions.half[which]
+    def reach(which: Ints, halves: Floats, axis: Floats) -> Floats:
+        normal, half = regions.normal[which], halves[which]
         along = np.abs(np.einsum("ij,ij->i", normal, axis))
         across = np.abs(normal[:, 1] * axis[:, 0] - normal[:, 0] * axis[:, 1])
         found: Floats = np.where(regions.round[which], half[:, 0], across * half[:, 0] + along * half[:, 1])
         return found
 
     def separates(axis: Floats) -> npt.NDArray[np.bool_]:
-        found: npt.NDArray[np.bool_] = np.abs(np.einsum("ij,ij->i", away, axis)) > reach(a, axis) + reach(b, axis)
+        found: npt.NDArray[np.bool_] = np.abs(np.einsum("ij,ij->i", away, axis)) > (
+            reach(a, half_of_a, axis) + reach(b, regions.half, axis)
+        )
         return found
 
     separated |= separates(between)
@@ -111,30 +134,66 @@ def _meet(regions: _Regions, a: Ints, b: Ints) -> npt.NDArray[np.bool_]:
     return ~separated
 
 
-def _overlapping_boxes(regions: _Regions, which: Ints) -> tuple[Ints, Ints] | None:
-    """Return the pairs of the surfaces `which` whose axis-aligned bounding boxes overlap, sorted, lower slot first.
+class _Bounds(NamedTuple):
+    """Axis-aligned bounding boxes: lower and upper corners, (n, 2) in m."""
 
-    Returns None if there are more than MAX_COMPARED_PAIRS.
-    """
-    normal, half = np.abs(regions.normal[which]), regions.half[which]
+    low: Floats
+    high: Floats
+
+
+def _bounds(regions: _Regions, which: Ints, halves: Floats) -> _Bounds:
+    """Return the bounding boxes of the surfaces `which`, whose regions have these half extents."""
+    normal, half = np.abs(regions.normal[which]), halves[which]
     extent = half[:, :1] * normal[:, ::-1] + half[:, 1:] * normal
     # The margin leaves boxes that just touch to _meet, independent of rounding.
     extent = np.where(regions.round[which][:, None], half[:, :1], extent) + _BOX_MARGIN_M
-    low, high = regions.center[which] - extent, regions.center[which] + extent
-    order = np.argsort(low[:, 0], kind="stable")
-    ends = np.searchsorted(low[order, 0], high[order, 0], side="right")
+    return _Bounds(regions.center[which] - extent, regions.center[which] + extent)
+
+
+def _beginning_within(ones: _Bounds, others: _Bounds, axis: int, room: int) -> tuple[Ints, Ints] | None:
+    """Return the pairs that overlap and of which the other begins within the one along an axis.
+
+    Returns None if there are more than `room` pairs.
+    """
+    order = np.argsort(others.low[:, axis], kind="stable")
+    begins = others.low[order, axis]
+    first = np.searchsorted(begins, ones.low[:, axis], side="left").tolist()
+    last = np.searchsorted(begins, ones.high[:, axis], side="right").tolist()
+    low, high = others.low[:, 1 - axis], others.high[:, 1 - axis]
+    own_low, own_high = ones.low[:, 1 - axis].tolist(), ones.high[:, 1 - axis].tolist()
     found: list[Ints] = []
     total = 0
-    for place, end in enumerate(ends.tolist()):
-        own, others = order[place], order[place + 1 : end]
-        found.append(others[(low[others, 1] <= high[own, 1]) & (high[others, 1] >= low[own, 1])])
+    for own in range(len(first)):
+        inside = order[first[own] : last[own]]
+        found.append(inside[(low[inside] <= own_high[own]) & (high[inside] >= own_low[own])])
         total += len(found[-1])
-        if total > MAX_COMPARED_PAIRS:
+        if total > room:
             return None
-    one, other = which[np.repeat(order, list(map(len, found)))], which[np.concatenate(found)]
-    a, b = np.minimum(one, other), np.maximum(one, other)
-    rising = np.lexsort((b, a))
-    return a[rising], b[rising]
+    return np.repeat(np.arange(len(found)), list(map(len, found))), np.concatenate(found)
+
+
+def _overlapping_boxes(regions: _Regions, which: Ints) -> tuple[Ints, Ints] | None:
+    """Return the pairs of the surfaces `which` whose axis-aligned bounding boxes overlap, sorted, lower slot first.
+
+    The bounding box of one of the two is that of its region, also where it is pressed through. Returns None if there
+    are more than MAX_COMPARED_PAIRS.
+    """
+    region = _bounds(regions, which, regions.half)
+    keys = np.zeros(0, dtype=np.int64)
+    for half in regions.through or (regions.half,):
+        wider = _bounds(regions, which, half)
+        axis = int(np.argmin((wider.high - wider.low).mean(axis=0)))
+        for ones, others in ((wider, region), (region, wider)):
+            # A pair may be found in both orders, and a surface overlaps itself.
+            found = _beginning_within(ones, others, axis, 2 * MAX_COMPARED_PAIRS + len(which))
+            if found is None:
+                return None
+            one, other = which[found[0]], which[found[1]]
+            a, b = np.minimum(one, other), np.maximum(one, other)
+            keys = np.union1d(keys, (a * len(regions.half) + b)[a < b])
+    if len(keys) > MAX_COMPARED_PAIRS:
+        return None
+    return keys // len(regions.half), keys % len(regions.half)
 
 
 def _neighbours(count: int, a: Ints, b: Ints) -> tuple[Ints, Ints]:

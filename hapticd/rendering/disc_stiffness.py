@@ -1,12 +1,14 @@
 """Upper bounds of a disc's radial and tangential stiffness, down to the depth of a given pressing force.
 
-The proxy on the rim moves R/r as far as a probe at radius r, and friction and grooves fade out towards the centre
-(docs/adr/0027). With friction or shaped grooves, the second derivatives, in polar coordinates, of
+Shaped grooves: the proxy on the rim moves R/r as far as a probe at radius r, and the grooves fade out towards the
+centre (docs/adr/0027). The second derivatives of K/2 (R - r - g H(s))^2, in polar coordinates, give the stiffness. K is
+that of the material, H the height of the grooves at the arc length s, and g the fading. Without friction and shaped
+grooves the stiffness never exceeds K.
 
-    K/2 (R - r - g H(s))^2 + g k/2 (s - anchor)^2
-
-give the stiffness. K is that of the material, H the height of the grooves at the arc length s, k the stiffness of
-friction's spring, and g the fading. Without friction and shaped grooves the stiffness never exceeds K.
+Friction: its spring has the same stiffness at every depth, and turns with the surface (docs/adr/0062). While the probe
+moves along the radius and around the disc at the same time, the turn adds up to mu F_n / (2 r) between the two
+directions. A disc's stiffness around its centre is lower than the spring's by F_n / r, so an addition of mu^2 F_n /
+(4 r) to the radial stiffness bounds it.
 """
 
 from __future__ import annotations
@@ -22,9 +24,9 @@ from hapticd.base.core import Texture
 Floats: TypeAlias = npt.NDArray[np.float64]
 
 FULL_RADIUS_FRACTION: Final = 0.5
-"""From this r/R on, friction and grooves act fully (csrc/shapes/hd_disc.c)."""
+"""From this r/R on, shaped grooves act fully (csrc/shapes/hd_disc.c)."""
 ZERO_RADIUS_FRACTION: Final = 0.2
-"""Up to this r/R, friction and grooves do not act (csrc/shapes/hd_disc.c)."""
+"""Up to this r/R, shaped grooves do not act, and friction does not follow the turn (csrc/shapes/hd_disc.c)."""
 _RADIAL_SAMPLES: Final = 65
 """Number of radii, from the deepest press to the rim, at which the bounds are evaluated."""
 
@@ -43,7 +45,7 @@ class RoundProperties(NamedTuple):
 
 
 def fading(part: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the fading g of friction and grooves at `part` = r/R, and its first and second derivatives by r/R."""
+    """Return the fading g of shaped grooves at `part` = r/R, and its first and second derivatives by r/R."""
     width = FULL_RADIUS_FRACTION - ZERO_RADIUS_FRACTION
     x = np.clip((part - ZERO_RADIUS_FRACTION) / width, 0.0, 1.0)
     within = (x > 0.0) & (x < 1.0)
@@ -58,8 +60,8 @@ def round_properties(radius_m: Floats, materials: npt.NDArray[np.void], press_n:
     """Return the stiffness bounds of discs (n,) of these materials, MATERIAL_DTYPE (n,), pressed up to `press_n`."""
     radius = radius_m[:, None]
     stiffness = materials["stiffness_n_per_m"][:, None]
-    mu = materials["friction_coefficient"][:, None]
-    spring = np.where(mu > 0.0, materials["friction_stiffness_n_per_m"][:, None], 0.0)
+    mu = materials["friction_coefficient"]
+    spring = np.where(mu > 0.0, materials["friction_stiffness_n_per_m"], 0.0)
     grooved = (materials["texture"] == Texture.GEOMETRY)[:, None]
     height = np.where(grooved, materials["depth_m"][:, None], 0.0)
     turn = 2.0 * math.pi / np.where(grooved, materials["width_m"][:, None], 1.0)
@@ -73,17 +75,16 @@ def round_properties(radius_m: Floats, materials: npt.NDArray[np.void], press_n:
     steep = 1.0 + rise * height / radius
     curvature = 0.5 * height * turn**2 * lever / part
     leaning = np.abs(rise - lever) / (part * radius)
-    # Friction: its spring is stretched by at most mu F_n / k.
-    rubs = mu * pressed
-    softness = np.where(spring > 0.0, rubs**2 / np.where(spring > 0.0, spring, 1.0), 0.0)
-    cross = pressed * 0.5 * height * turn * leaning + rubs * leaning
-    own = spring * lever / part
-    normal = stiffness * (steep**2 + steep * slope) + np.abs(bend) / radius**2 * (pressed * height + 0.5 * softness)
-    around = stiffness * (slope**2 + steep * slope) + pressed * curvature + 0.5 * rise * softness / (part * radius**2)
-    normal, around = normal + cross, around + cross
+    cross = pressed * 0.5 * height * turn * leaning
+    normal = stiffness * (steep**2 + steep * slope) + np.abs(bend) / radius**2 * pressed * height + cross
+    around = stiffness * (slope**2 + steep * slope) + pressed * curvature + cross
+    normal, around = normal.max(axis=1), around.max(axis=1)
+    # Friction: it turns with the surface outside the middle, up to the largest mu^2 F_n / (4 r) there.
+    innermost = np.maximum(part[:, -1], ZERO_RADIUS_FRACTION)
+    rubbed = np.minimum(press_n, stiffness[:, 0] * radius_m * (1.0 - innermost))
     return RoundProperties(
-        normal=normal.max(axis=1),
-        tangent=(around + own).max(axis=1),
-        spring=own.max(axis=1),
-        friction_per_depth=(mu * normal * lever).max(axis=1),
+        normal=normal + 0.25 * mu**2 * rubbed / (innermost * radius_m),
+        tangent=around + spring,
+        spring=spring,
+        friction_per_depth=mu * normal,
     )

@@ -17,7 +17,15 @@ def test_the_command_lists_all_benchmarks(capsys: pytest.CaptureFixture[str]) ->
     said = capsys.readouterr().out
     assert all(name in said for name in bench.MEASUREMENTS)
     assert cli.main(["bench", "nothing"]) == 2
-    assert "unknown benchmark nothing; known: loops," in capsys.readouterr().err
+    assert "unknown benchmark nothing; known: closed_loop," in capsys.readouterr().err
+
+
+def test_no_benchmark_has_the_name_of_another_program_of_bench() -> None:
+    """`python -m bench NAME` runs a benchmark, `python -m bench.NAME` a module with a command line of its own."""
+    modules = Path(bench.__file__).parent.glob("*.py")
+    programs = {path.stem for path in modules if f"    python -m bench.{path.stem} [" in path.read_text()}
+    assert "loops" in programs
+    assert not programs & set(bench.MEASUREMENTS)
 
 
 def test_an_installed_hapticd_reports_that_benchmarks_need_a_source_tree(
@@ -43,5 +51,5 @@ def test_a_page_is_written_only_to_a_regular_file(
 ) -> None:
     monkeypatch.setattr(bench, "_measure", lambda *_: pytest.fail("a measurement before the check"))
     message = special(tmp_path / bench.ACCURACY, kind)
-    assert cli.main(["bench", "loops", "--quick", "--out", str(tmp_path), *overwrite]) == 1
+    assert cli.main(["bench", "closed_loop", "--quick", "--out", str(tmp_path), *overwrite]) == 1
     assert capsys.readouterr().err == f"hapticd: {message}\n"

@@ -41,8 +41,8 @@ def test_closed_form_is_that_of_the_differential_equation(loop: Loop) -> None:
     found = np.array(Continuous(loop).at(times)).T
     expected = [matrix_exponential(loop, time_s) for time_s in times]
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-13)
-    force = Continuous(loop).at(np.linspace(0, loop.lasting_s, 10_001))[2]
-    after = np.linspace(0, loop.lasting_s, 10_001) > Continuous(loop).onset_s
+    force = Continuous(loop).at(np.linspace(0, loop.duration_s, 10_001))[2]
+    after = np.linspace(0, loop.duration_s, 10_001) > Continuous(loop).onset_s
     assert (force[after] > 0).all(), "it lets go of the wall, which the closed form does not know"
 
 

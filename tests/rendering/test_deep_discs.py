@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hapticd.base.core import EventKind
+from hapticd.base.core import MATERIAL_DTYPE, EventKind, records
+from hapticd.rendering.disc_stiffness import round_properties
 from tests.support.rig import Rig
 
 Points = npt.NDArray[np.float64]
@@ -21,7 +22,7 @@ K, RADIUS, MU, SPRING = 800.0, 0.002, 0.35, 600.0
 PACE = 24.0
 """How much faster than the probe the proxy goes at most."""
 WHOLE, BARE = 0.5, 0.2
-"""Distances from the centre, in radii, beyond which geometry and friction act fully, and within which not at all."""
+"""Distances from the centre, in radii, beyond which geometry acts fully, and within which not at all."""
 SPACING, WIDTH, LOWERED = 0.0005, 0.0004, 0.0001
 GROOVES = {"kind": "grooves", "spacing_m": SPACING, "width_m": WIDTH}
 FRICTION = {"coefficient": MU, "stiffness_n_per_m": SPRING}
@@ -158,7 +159,7 @@ def test_no_closed_way_gives_energy(material: str, centred: bool) -> None:
 
 
 def faded(r: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """What there is of geometry and friction at r: a smooth step over 0.2 to 0.5 R."""
+    """What there is of geometry at r: a smooth step over 0.2 to 0.5 R."""
     x = np.clip((np.asarray(r) / RADIUS - BARE) / (WHOLE - BARE), 0, 1)
     return np.asarray(x * x * (3 - 2 * x))
 
@@ -169,17 +170,29 @@ def lowering(s: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return np.where(2 * np.abs(offset) < WIDTH, LOWERED * (0.5 + 0.5 * np.cos(2 * np.pi * offset / WIDTH)), 0.0)
 
 
-def stored(p: Points, anchor: float) -> npt.NDArray[np.float64]:
-    """K/2 (d - g H)^2 + g k/2 (s - anchor)^2, for probes on the upper half that stick."""
+def stored(p: Points) -> npt.NDArray[np.float64]:
+    """K/2 (d - g H)^2, for probes on the upper half."""
     r = np.hypot(*p.T)
-    s = RADIUS * np.arctan2(p[:, 0], p[:, 1])
-    pressed = np.maximum(0.0, RADIUS - r - faded(r) * lowering(s))
-    found: npt.NDArray[np.float64] = 0.5 * K * pressed**2 + 0.5 * SPRING * faded(r) * (s - anchor) ** 2
+    pressed = np.maximum(0.0, RADIUS - r - faded(r) * lowering(RADIUS * np.arctan2(p[:, 0], p[:, 1])))
+    found: npt.NDArray[np.float64] = 0.5 * K * pressed**2
     return found
 
 
-def test_sticking_on_shaped_ground_the_force_is_the_gradient_of_the_stored_energy() -> None:
-    """At all depths, through the complete fade."""
+def clockwise(p: Points) -> Points:
+    """Unit vectors around the centre."""
+    found: Points = np.column_stack([p[:, 1], -p[:, 0]]) / np.hypot(*p.T)[:, None]
+    return found
+
+
+def went(r: npt.ArrayLike, angle: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """The integral of r over the angle, from the first point on: how far a probe went along the surface, m."""
+    radius, bearing = np.broadcast_arrays(r, angle)
+    steps = 0.5 * (radius[1:] + radius[:-1]) * np.diff(bearing)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def test_sticking_on_shaped_ground_the_force_is_the_gradient_of_the_energy_and_the_spring_along_the_surface() -> None:
+    """At all depths, through the complete fade of geometry."""
     rng = np.random.default_rng(1)
     bearing = 0.9
     for _ in range(30):
@@ -187,51 +200,124 @@ def test_sticking_on_shaped_ground_the_force_is_the_gradient_of_the_stored_energ
         r = np.linspace(1.1, rng.uniform(BARE + 0.02, 0.9), 2000) * RADIUS
         force(rig, polar(r, bearing))
         # A small way: it sticks where it was pressed in.
-        a, b = bearing, bearing + rng.uniform(-0.04, 0.04)
-        path = polar(r[-1] * np.linspace(1, rng.uniform(0.97, 1.0), 200), np.linspace(a, b, 200))
+        angle = np.linspace(bearing, bearing + rng.uniform(-0.04, 0.04), 200)
+        depths = r[-1] * np.linspace(1, rng.uniform(0.97, 1.0), 200)
+        path = polar(depths, angle)
         pushes = force(rig, path)
         h = 1e-9
-        slope = np.column_stack(
-            [
-                (stored(path - h * axis, RADIUS * bearing) - stored(path + h * axis, RADIUS * bearing)) / (2 * h)
-                for axis in np.eye(2)
-            ]
-        )
-        np.testing.assert_allclose(pushes, slope, rtol=0, atol=1e-5)
+        slope = np.column_stack([(stored(path - h * axis) - stored(path + h * axis)) / (2 * h) for axis in np.eye(2)])
+        spring = -SPRING * went(depths, angle)[:, None] * clockwise(path)
+        np.testing.assert_allclose(pushes, slope + spring, rtol=0, atol=1e-5)
 
 
-def test_sliding_deep_friction_is_mu_of_the_normal_force_at_the_rim() -> None:
-    """R/r mu F_n where it acts fully, times g deeper, zero in the middle; the radial part is from stored energy."""
-    for close in (0.95, 0.7, 0.5, 0.4, 0.3, 0.21, 0.19, 0.1):
-        rig = peg("rough")
-        force(rig, straight((0, 1.1 * RADIUS), (0, close * RADIUS), 1e-6))
-        angle = np.linspace(0, 2.5, 4000)
-        pushes = force(rig, polar(close * RADIUS, angle))[-1]
-        tangent = np.array([np.cos(angle[-1]), -np.sin(angle[-1])])
-        normal = MU * K * (1 - close) * RADIUS
-        g = float(faded(close * RADIUS))
-        assert pushes @ tangent == pytest.approx(-normal * g / close, abs=1e-10)
-        h = 1e-9
-        rise = float(faded(close * RADIUS + h) - faded(close * RADIUS - h)) / (2 * h)
-        radial = K * (1 - close) * RADIUS - 0.5 * rise * normal**2 / SPRING
-        assert pushes @ polar(1.0, angle[-1])[0] == pytest.approx(radial, abs=1e-6)
+@pytest.mark.parametrize("rate_hz", [1000, 10_000])
+@pytest.mark.parametrize("deep", [0.02, 0.1, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95])
+def test_sliding_around_the_centre_friction_is_mu_times_the_normal_force(deep: float, rate_hz: float) -> None:
+    """Several ways round, to and fro and at changing depths: K d along the normal, mu K d against the motion."""
+    rng = np.random.default_rng(round(100 * deep))
+    for _ in range(4):
+        rig = peg("rough", rate_hz)
+        force(rig, straight((0, 1.1 * RADIUS), (0, (1 - deep) * RADIUS), 2e-6))
+        # First in the direction of the stroke, far enough to slide: the spring is longest at the largest depth.
+        way = rng.choice([-1, 1])
+        far = 1.05 * MU * K * 1.2 * deep * RADIUS / SPRING / ((1 - deep) * RADIUS)
+        angle = way * np.linspace(0.0, 2 * far + rng.uniform(1, 7), 6000)
+        shallower = 1.0 - 0.2 * rng.uniform(0.0, 1.0) * np.linspace(0.0, 1.0, 6000) ** 2
+        depth = deep * RADIUS * shallower
+        path = polar(RADIUS - depth, angle)
+        pushes = force(rig, path)[np.abs(angle) > 2 * far]
+        slid = path[np.abs(angle) > 2 * far]
+        outward = slid / np.hypot(*slid.T)[:, None]
+        pressed = K * depth[np.abs(angle) > 2 * far]
+        np.testing.assert_allclose(np.sum(pushes * outward, axis=1), pressed, rtol=1e-9)
+        np.testing.assert_allclose(np.sum(pushes * clockwise(slid), axis=1), -way * MU * pressed, rtol=1e-9)
+
+
+@pytest.mark.parametrize("close", [0.95, 0.7, 0.5, 0.4, 0.25, 0.15, 0.06])
+def test_sticking_friction_has_the_stiffness_of_its_spring_at_every_depth(close: float) -> None:
+    rig = peg("rough")
+    force(rig, straight((0, 1.1 * RADIUS), (0, close * RADIUS), 1e-6))
+    far = 0.9 * MU * K * (1 - close) / SPRING / close
+    angle = np.concatenate([np.linspace(0, far, 4000), np.linspace(far, -far, 8000)[1:]])
+    path = polar(close * RADIUS, angle)
+    pushes = force(rig, path)
+    # The way of a tick is its chord: a part of step^2 / 6 less than the arc.
+    along = SPRING * close * RADIUS * angle
+    np.testing.assert_allclose(
+        np.sum(pushes * clockwise(path), axis=1), -along, rtol=0, atol=np.abs(along).max() * (far / 4000) ** 2
+    )
+    outward = path / np.hypot(*path.T)[:, None]
+    np.testing.assert_allclose(np.sum(pushes * outward, axis=1), K * (1 - close) * RADIUS, rtol=1e-12)
 
 
 @pytest.mark.parametrize("deep", [0.9, 0.55, 0.3])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_spring_that_is_stretched_at_one_depth_and_eased_off_at_another_gives_nothing(deep: float, sign: int) -> None:
-    """Sticking all the way: to one side there, back again here, either way round."""
-    rig = peg("rough")
-    rig.render(straight((0, 1.1 * RADIUS), (0, deep * RADIUS), 1e-6))
+    """Sticking all the way: to one side there, back again here, either way round.
+
+    The hand loses what the spring still holds at the end, stretched by the difference of the two ways.
+    """
     turn = sign * 0.9 * MU * K * 0.05 / SPRING
     corners = [(deep, 0.0), (deep, turn), (0.95, turn), (0.95, 0.0), (deep, 0.0)]
-    path = np.concatenate(
-        [polar(RADIUS * np.linspace(a[0], b[0], 20_000), np.linspace(a[1], b[1], 20_000)) for a, b in pairwise(corners)]
-    )
-    taken = -work(force(rig, path), path)
-    assert abs(taken) <= 1e-12
-    taken = -work(force(rig, path[::-1]), path[::-1])
-    assert abs(taken) <= 1e-12
+    r, angle = np.concatenate(
+        [np.linspace(a, b, 20_000)[1:] for a, b in pairwise(np.array([corners[0], *corners]))]
+    ).T * [[RADIUS], [1.0]]
+    for order in (slice(None), slice(None, None, -1)):
+        rig = peg("rough")
+        rig.render(straight((0, 1.1 * RADIUS), (0, deep * RADIUS), 1e-6))
+        path = polar(r[order], angle[order])
+        held = 0.5 * SPRING * went(r[order], angle[order])[-1] ** 2
+        assert -work(force(rig, path), path) == pytest.approx(held, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("close", [0.9, 0.5, 0.25])
+def test_a_trembling_hand_does_not_drift(close: float) -> None:
+    """To and fro on straight lines in every direction, 1000 times: friction is bit for bit back to rounding."""
+    rig = peg("rough")
+    stuck = polar(close * RADIUS, [0.0, 0.5 * MU * K * (1 - close) / SPRING / close])
+    force(rig, np.concatenate([straight((0, 1.1 * RADIUS), stuck[0], 1e-6), straight(stuck[0], stuck[1], 1e-6)]))
+    before = force(rig, stuck[1:])[0]
+    rng = np.random.default_rng(3)
+    shakes = stuck[1] + rng.uniform(-0.02, 0.02, (1000, 2)) * (1 - close) * RADIUS
+    path = np.stack([shakes, np.tile(stuck[1], (1000, 1))], axis=1).reshape(-1, 2)
+    np.testing.assert_allclose(force(rig, path)[1::2], np.tile(before, (1000, 1)), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("close", [0.9, 0.5])
+def test_a_probe_that_circles_while_it_sticks_stretches_the_spring_by_the_area_over_r(close: float) -> None:
+    """Friction is not the gradient of an energy of the place: a path around an area A returns with A/r more or less."""
+    rig = peg("rough")
+    force(rig, straight((0, 1.1 * RADIUS), (0, close * RADIUS), 1e-6))
+    turn = np.linspace(0, 2 * np.pi, 2001)
+    small = 0.2 * MU * K * (1 - close) * RADIUS / SPRING
+    path = np.column_stack([small * np.sin(turn), close * RADIUS - small * (1 - np.cos(turn))])
+    pushes = force(rig, path)
+    expected = went(np.hypot(*path.T), np.arctan2(path[:, 0], path[:, 1]))[-1]
+    assert pushes[-1, 0] == pytest.approx(-SPRING * expected, rel=1e-5)
+    assert abs(expected) == pytest.approx(np.pi * small**2 / (close * RADIUS - small), rel=0.05)
+
+
+def test_the_force_held_from_tick_to_tick_gives_no_more_than_its_stiffness_allows() -> None:
+    """The hand gets at most S/2 times the square of each step, S the bound of the stability margin, at every depth.
+
+    That is the work of the force of a tick along the step to the next one. The disc stores nothing at both ends.
+    """
+    rng = np.random.default_rng(6)
+    material = records(MATERIAL_DTYPE, 1)
+    material["stiffness_n_per_m"], material["friction_coefficient"] = K, MU
+    material["friction_stiffness_n_per_m"] = SPRING
+    bound = round_properties(np.array([RADIUS]), material, K * RADIUS)
+    stiffness = float(max(bound.normal[0], bound.tangent[0]))
+    for _ in range(60):
+        corners = rng.uniform(-1, 1, (rng.integers(3, 40), 2)) * RADIUS * rng.uniform(0.1, 0.9)
+        outside = 1.2 * RADIUS * corners[0] / np.hypot(*corners[0])
+        points = np.array([outside, *corners, *(corners[::-1] if rng.random() < 0.3 else []), outside])
+        step = RADIUS * 10 ** rng.uniform(-3, -1)
+        path = np.concatenate([straight(a, b, step)[1:] for a, b in pairwise(points)] + [outside[None, :]])
+        path = np.concatenate([outside[None, :], path])
+        pushes = force(peg("rough"), path)
+        moves = np.diff(path, axis=0)
+        assert np.sum(pushes[:-1] * moves) <= 0.5 * stiffness * np.sum(moves**2)
 
 
 @pytest.mark.parametrize("close", [0.8, 0.45, 0.2, 0.06])

@@ -194,10 +194,10 @@ CASES: Final[dict[str, Callable[[], bytes]]] = {
     **{f"{scene}, simulated": lambda scene=scene, by=by: simulated(scene, by) for scene, by in SCENES.items()},
 }
 HASHES: Final[dict[str, str]] = {
-    "rendered at 10 kHz": "34fb5c8ce45293b1",
-    "rendered at 4 kHz": "1135810314647f92",
+    "rendered at 10 kHz": "569b7c383a03ffc1",
+    "rendered at 4 kHz": "32d06172b892ba99",
     "rendered at 1 kHz": "09d5987b6a36fa4e",
-    "compensated": "b9a3e51d19027a0c",
+    "compensated": "07afd6ecc7dc1991",
     "lowered": "7ae68ff265945769",
     "controlled": "11fd8d997debc193",
     "behind a slow actuator": "e02309271d0b31a4",

@@ -23,6 +23,7 @@ from hapticd.hid.plan import AxisPlan, Bits, Message, Plan, Value
 from hapticd.rendering import contact_sets
 from hapticd.rendering.contact_sets import ContactSets
 from hapticd.rendering.device_output import loop_of
+from hapticd.rendering.end_state import end_of
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import render, simulate_run
 from hapticd.rendering.scene_stability import Stability
@@ -414,6 +415,43 @@ def test_whatever_holds_a_point_at_once_is_within_a_set(way: str, monkeypatch: p
         }
         for together_here in touched:
             assert any(together_here <= each for each in found), together_here
+
+
+def stacked_boxes(stiffness: float, gap_m: float = 0.001) -> Any:
+    """Three boxes of 1 mm below each other, and a handle of 0.2 N s/m without friction at 1 kHz."""
+    boxes = {
+        name: {"kind": "box", "center_m": [0, -place * (0.001 + gap_m)], "size_m": [0.02, 0.001], "material": "m"}
+        for place, name in enumerate("abc")
+    }
+    sim = {
+        "start_m": [0, 0.005],
+        "encoder_step_m": 0,
+        "coulomb_friction_n": 0,
+        "force_step_n": 0,
+        "handle_mass_kg": 0.05,
+        "handle_damping_n_s_per_m": 0.2,
+        "hand": {"mass_kg": 0, "stiffness_n_per_m": 50, "damping_n_s_per_m": 0},
+    }
+    return load_config(
+        {
+            "servo": {"rate_hz": 1000},
+            "device": {"sim": sim},
+            "materials": {"m": {"stiffness_n_per_m": stiffness}},
+            "scene": {"objects": boxes},
+        }
+    )
+
+
+def test_boxes_that_a_hand_presses_through_one_after_the_other_act_together() -> None:
+    """The first two still push when the probe is in the third; each alone would be stable up to 2 b / T = 400 N/m."""
+    limit = 2 * 0.2 * 1000 / 3
+    sets = evaluated(stacked_boxes(100))
+    assert {sets.members(number) for number in range(len(sets))} == {(0, 1, 2)}
+    np.testing.assert_allclose(sets.factor, limit / 100)
+    assert len(evaluated(stacked_boxes(100, gap_m=0.09))) == 3  # 8.9 N press 89 mm deep
+    press = [[0, 0, 0.005], [0.3, 0, -4 / 50 - 0.004]]
+    assert end_of(stacked_boxes(0.8 * limit), press, 60.0).fate == "rests"
+    assert end_of(stacked_boxes(1.02 * limit), press, 60.0).fate == "cycles"
 
 
 def test_a_set_is_at_most_a_pair_and_the_surfaces_that_meet_both() -> None:

@@ -80,6 +80,24 @@ def test_jump_strikes_nothing_and_comes_in_over_the_ramp() -> None:
     assert np.all(samples["velocity_m_per_s"] == 0.0)
 
 
+@pytest.mark.parametrize("rate_hz", [1000, 10_000])
+@pytest.mark.parametrize("stiffness_n_per_m", [400, 1600])
+def test_a_command_during_the_ramp_of_a_contact_makes_no_step(rate_hz: float, stiffness_n_per_m: float) -> None:
+    """A contact after a jump ramps up. While it does, its material changes and changes back."""
+    materials = {"first": {"stiffness_n_per_m": 800}, "second": {"stiffness_n_per_m": stiffness_n_per_m}}
+    rig = Rig({"w": {**FLOOR, "material": "first"}}, rate_hz=rate_hz, materials=materials)
+    ramp = round(0.02 * rate_hz)
+    rig.render(still(0, 0.5, 10))
+    forces = [rig.render(still(0, -0.003, ramp // 2))["force_n"]]
+    for material, count in (("second", ramp // 4), ("first", 4 * ramp)):
+        rig.update({"w": {**FLOOR, "material": material}})
+        forces.append(rig.render(still(0, -0.003, count))["force_n"])
+    force = np.concatenate(forces)[:, 1]
+    changed = 0.003 * abs(stiffness_n_per_m - 800)  # N, at the most; two changes can overlap
+    assert np.abs(np.diff(force)).max() <= (0.003 * max(800, stiffness_n_per_m) + 2 * changed) / ramp
+    assert force[-1] == pytest.approx(2.4, rel=1e-12)
+
+
 def test_missed_periods_advance_modes_by_the_time_that_passed() -> None:
     """A tick with 100 missed periods: what rings continues where the closed form is."""
     rig = Rig({"w": FLOOR})

@@ -137,7 +137,7 @@ def test_work_around_a_loop_is_that_of_the_hysteresis(amplitude: float) -> None:
 def test_friction_on_a_disc_follows_the_arc_and_over_the_bottom() -> None:
     """Round the rim, several turns to and fro: the stop operator over the arc length, past the seam at the bottom.
 
-    The probe goes (R - d)/R of the path of its proxy, so it is held R/(R - d) as hard: virtual work.
+    The arc is the probe's own, at the radius R - d.
     """
     radius, depth = 0.005, 0.0008
     center = np.array([0.01, 0.02])
@@ -156,8 +156,9 @@ def test_friction_on_a_disc_follows_the_arc_and_over_the_bottom() -> None:
     normal = np.sum(samples["contact_force_n"] * radial, axis=1)
     along = np.sum(samples["contact_force_n"] * tangent, axis=1)
     np.testing.assert_allclose(normal, K * depth, rtol=0, atol=1e-12)
-    # Summed step by step the reference rounds; the arc length itself is that of the rim.
-    expected = -SPRING * stop(radius * angle, MU * K * depth / SPRING) * radius / (radius - depth)
+    # The way of a tick is its chord, (R - d) sin of the step.
+    way = (radius - depth) * np.concatenate([[np.pi], np.pi + np.cumsum(np.sin(np.diff(angle)))])
+    expected = -SPRING * stop(way, MU * K * depth / SPRING)
     np.testing.assert_allclose(along, expected, rtol=0, atol=1e-11)
     assert rig.kinds() == []
     assert np.ptp(angle) > 4 * np.pi
@@ -397,7 +398,7 @@ def test_friction_that_a_disc_loses_goes_out_over_the_ramp() -> None:
     rig.render(np.concatenate([np.tile(path[0], (300, 1)), path]))
     last = rig.render(np.tile(path[-1], (10, 1)))
     before = turned_on_a_disc(last[-1], radius, bearing[-1])
-    assert before == pytest.approx(-MU * K * 0.001 * radius / (radius - 0.001), abs=1e-9)
+    assert before == pytest.approx(-MU * K * 0.001, abs=1e-9)
     rig.update({"disc": {**item, "material": "plain"}})
     samples = rig.render(np.tile(path[-1], (300, 1)))
     along = np.array([before] + [turned_on_a_disc(sample, radius, bearing[-1]) for sample in samples])
@@ -407,21 +408,23 @@ def test_friction_that_a_disc_loses_goes_out_over_the_ramp() -> None:
 
 
 def test_a_disc_that_is_moved_across_its_bottom_drags_by_no_more_than_that() -> None:
-    """Pressed from below, where s goes from one end to the other: it goes the shorter way."""
+    """Pressed from below, where s goes from one end to the other: it goes the shorter way.
+
+    The spring is stretched by the way of the disc along its surface at the probe.
+    """
     item = {"kind": "disc", "center_m": [0, 0], "radius_m": 0.01, "material": "rough"}
     rig = Rig({"disc": item}, materials=MATERIALS)
     last = rig.render(still(1e-4, -0.009, 500))
-    bearings = [1e-4 / 0.009]
+    normal, way = np.array([1e-4, -0.009]) / np.hypot(1e-4, 0.009), 0.0
     for x in (2e-4, 0.5e-4, 3e-4):
         rig.update({"disc": {**item, "center_m": [x, 0]}})
         samples = rig.render(still(1e-4, -0.009, 300))
         force = np.concatenate([last[-1:], samples])["contact_force_n"]
         assert np.abs(np.diff(force, axis=0)).max() <= 0.01
-        bearings.append((1e-4 - x) / 0.009)
-        # The spring is stretched by the arc that the surface went by, and pulls R/r as hard within it.
-        arc = 0.01 * (np.arctan(bearings[-1]) - np.arctan(bearings[0]))
-        lever = 0.01 / np.hypot(1e-4 - x, 0.009)
-        normal = np.array([np.sin(np.arctan(bearings[-1])), -np.cos(np.arctan(bearings[-1]))])
-        tangent = np.array([normal[1], -normal[0]])
-        assert samples["contact_force_n"][-1] @ tangent == pytest.approx(SPRING * arc * lever, rel=1e-6)
+        offset = np.array([1e-4 - x, -0.009])
+        way += float(offset @ [normal[1], -normal[0]])
+        normal = offset / np.hypot(*offset)
+        pulled = samples["contact_force_n"][-1] @ [normal[1], -normal[0]]
+        assert pulled == pytest.approx(-SPRING * way, rel=1e-9)
+        assert abs(pulled) < 0.9 * MU * K * (0.01 - np.hypot(*offset))
         last = samples

@@ -48,9 +48,9 @@ def test_wall_that_grows_into_a_ringing_mode_takes_the_room_from_it() -> None:
     force = samples["force_n"][:, 1]
     assert force.max() <= 3
     both = samples["contact_force_n"][:, 1] + samples["vibration_force_n"][:, 1]
-    inside = both <= 3
+    inside = samples["contact_force_n"][:, 1] + np.abs(samples["vibration_force_n"][:, 1]) <= 3
     assert np.allclose(force[inside], both[inside], rtol=0, atol=1e-15)
-    assert np.any(~inside)
+    assert np.any(both > 3)
     # Between the ticks that scaled it, what rings is the same mode: each sample follows from the two before.
     mode = shipped_materials()["wood"].tap.mode  # type: ignore[union-attr]
     z = np.exp((-mode.decay_rate_per_s + 1j * mode.angular_frequency_rad_per_s) / RATE)

@@ -1,5 +1,5 @@
 """Noise and ringing modes where the contact takes the force limit: noise yields first, by a gain that is the same for
-samples of either sign; modes that ring when the contact passes the limit end without a step.
+samples of either sign; modes that ring when the contact passes the limit make room for it without a step.
 
 The references are the same strokes without a limit, and closed forms of the contact force K d."""
 
@@ -13,7 +13,7 @@ from hapticd.base.core import EventKind, Flag, Status, ffi, lib
 from hapticd.config.materials import Mode
 from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.device_output import output_of
-from tests.support.rig import FLOOR, Rig
+from tests.support.rig import FLOOR, Rig, line, still
 
 Array = npt.NDArray[np.float64]
 
@@ -128,11 +128,63 @@ def test_a_strike_does_not_make_room_for_noise() -> None:
     assert scales[0] == scales[1] and 0 < scales[0] < 1
 
 
+@pytest.mark.parametrize("passivity", ["off", "control"])
+@pytest.mark.parametrize("growth_ticks", [1, 10, 200])
+@pytest.mark.parametrize("angle_degrees", [-90.0, 90.0, 0.0, -60.0])
+def test_a_contact_force_at_the_limit_gets_it_in_full_whatever_rings(
+    passivity: str, growth_ticks: int, angle_degrees: float
+) -> None:
+    """Modes of either sign, and pairs of opposite signs, ring while the wall's force grows to the limit of 4 N and to 6
+    N, and returns. From 4 N on the command is the limit along the normal. Below it the vibration has the largest factor
+    with which both of its signs fit; where both fit as they are, it is not changed."""
+    limit = 4.0
+    along = np.array([np.cos(np.radians(angle_degrees)), np.sin(np.radians(angle_degrees))])
+    opposed = 0
+    for delay in range(0, 180, 17):
+        rig = Rig(
+            {"w": {**FLOOR, "material": "plain"}},
+            materials={"plain": {"stiffness_n_per_m": STIFFNESS}},
+            device={"effective_mass_kg": 0.05, "max_force_n": limit, "max_speed_m_per_s": 1000},
+            passivity=passivity,
+        )
+        levels = np.array([1.0, 1.0, 4.0, 4.0, 4.1, 4.1, 6.0, 6.0, 1.0, 1.0])
+        ticks = np.cumsum([0, delay + 1, growth_ticks, 5, 1, 40, growth_ticks, 30, 1, 100])
+        pressed = np.interp(np.arange(ticks[-1]), ticks, levels)
+        rig.render(line(0.0005, 0.05, 20))
+        rig.render(still(0, -1.0 / STIFFNESS, 20))
+        for frequency_hz, sign in ((90.0, 1.0), (97.0, -0.8), (300.0, 0.3)):
+            play(
+                rig,
+                Mode(1 / 0.05, 2 * np.pi * frequency_hz),
+                (float(np.sign(sign) * along[0]), float(np.sign(sign) * along[1])),
+                30.0 * abs(sign),
+            )
+        samples = rig.render(np.stack([np.zeros(len(pressed)), -pressed / STIFFNESS], axis=1))
+        contact, vibration, force = (samples[f"{name}_n"] for name in ("contact_force", "vibration_force", "force"))
+        if passivity == "off":  # the controller lowers what the wall gives back to a hand that leaves
+            np.testing.assert_allclose(contact[:, 1], pressed, rtol=0, atol=1e-12)
+        assert np.hypot(*force.T).max() <= limit
+        full = contact[:, 1] >= limit
+        np.testing.assert_allclose(force[full], np.tile([0, limit], (full.sum(), 1)), rtol=0, atol=1e-11)
+        widest = np.maximum(np.hypot(*(contact + vibration).T), np.hypot(*(contact - vibration).T))
+        fits = ~full & (widest < limit * (1 - 1e-12))
+        np.testing.assert_allclose(force[fits], (contact + vibration)[fits], rtol=0, atol=1e-15)
+        scaled = ~full & (widest > limit * (1 + 1e-12))
+        left = (force - contact)[scaled]
+        factor = np.sum(left * vibration[scaled], axis=1) / np.sum(vibration[scaled] ** 2, axis=1)
+        np.testing.assert_allclose(left, factor[:, None] * vibration[scaled], rtol=0, atol=1e-11)
+        sums = [np.hypot(*(contact[scaled] + side * left).T) for side in (1, -1)]
+        np.testing.assert_allclose(np.maximum(*sums), limit, rtol=1e-11)
+        opposed += int(np.sum(np.hypot(*(contact + vibration)[full].T) < limit - 0.01))
+    if growth_ticks == 1 and angle_degrees != 0:
+        assert opposed > 0  # the sum of what is wanted lay below the limit
+
+
 @pytest.mark.parametrize("slant", [0.0, 90.0, 30.0])
 def test_what_rings_when_the_contact_passes_the_limit_ends_without_a_step(slant: float) -> None:
     """A mode played at an angle to the normal, while the wall grows through the limit in some ticks. From tick to tick
-    the command moves by no more than contact and mode do by themselves, what is left of the mode fades, and below the
-    limit what acts along the surface closes as sqrt(limit^2 - contact^2)."""
+    the command moves by no more than contact and mode do by themselves, and as the room closes that is left for the
+    mode: limit - contact along the normal, sqrt(limit^2 - contact^2) along the surface."""
     count, mode_hz, decay = 1500, 60.0, 0.05
     for phase in range(0, 160, 20):
         pressed = np.concatenate([np.full(450 + phase, 6.0), np.linspace(6, 12, 40), np.full(count - 490 - phase, 12)])
@@ -150,9 +202,11 @@ def test_what_rings_when_the_contact_passes_the_limit_ends_without_a_step(slant:
             runs.append(np.concatenate([first["force_n"], rig.render(position[400:])["force_n"]]))
         free, held = runs
         assert np.hypot(*held.T).max() <= LIMIT
-        own = np.hypot(*np.diff(free, axis=0).T)
-        fade = np.hypot(*(free[:-1] - np.stack([np.zeros(count), pressed], axis=1)[:-1]).T) / (GAIN_RAMP_S * RATE)
-        closing = np.abs(np.diff(np.sqrt(np.maximum(0, LIMIT**2 - pressed**2)))) * np.sin(np.radians(slant))
+        mode = free - np.stack([np.zeros(count), pressed], axis=1)
+        own = np.abs(np.diff(pressed)) + np.hypot(*np.diff(mode, axis=0).T)
+        fade = np.hypot(*mode[:-1].T) / (GAIN_RAMP_S * RATE)
+        room = np.stack([np.sqrt(np.maximum(0, LIMIT**2 - pressed**2)), np.maximum(0, LIMIT - pressed)])
+        closing = np.hypot(*(np.abs(np.diff(room)) * [[np.sin(np.radians(slant))], [np.cos(np.radians(slant))]]))
         step = np.hypot(*np.diff(held, axis=0).T)
         assert np.all(step[410:] <= (own + 2 * fade + closing)[410:] + 1e-9), phase
         np.testing.assert_allclose(held[-1], [0, LIMIT], rtol=1e-12, atol=1e-12)

@@ -52,24 +52,29 @@ def test_a_sampled_spring_gives_k_v2_t2_a_tick(steps: int, way_m: float) -> None
     assert (given.contacts, given.restrained, given.acted) == (1, 0, 0)
 
 
-def test_a_seam_gives_what_the_stiffer_side_holds_more() -> None:
-    """Into the soft box, over to the stiff one, and out: (K - k) d^2/2, and what a sampled spring gives."""
+@pytest.mark.parametrize("ramps", [0.25, 1.5])
+def test_a_seam_gives_what_the_stiffer_side_holds_more(ramps: float) -> None:
+    """Into the soft box, over to the stiff one, `ramps` ramps on there, and out: (K - k) d^2/2 at most, and what a
+    sampled spring gives."""
     side = {"kind": "box", "size_m": [0.02, 0.02]}
     objects = {
         "soft": {**side, "center_m": [-0.01, -0.01], "material": "soft"},
         "stiff": {**side, "center_m": [0.01, -0.01], "material": "plain"},
     }
     rig = Rig(objects, materials={**PLAIN, "soft": {"stiffness_n_per_m": 300.0}}, passivity="observe")
-    deep, steps = 1e-3, 200
-    down, along = np.linspace(1e-5, -deep, steps), np.linspace(-0.004, 0.004, steps)
+    deep, steps, slid = 1e-3, 200, round(2 * ramps * 0.02 / PERIOD_S)
+    down, along = np.linspace(1e-5, -deep, steps), np.linspace(-0.004, 0.004, slid)
     path = np.vstack(
         (
             np.column_stack((np.full(steps, along[0]), down)),
-            np.column_stack((along, np.full(steps, -deep))),
+            np.column_stack((along, np.full(slid, -deep))),
             np.column_stack((np.full(steps, along[-1]), down[::-1])),
         )
     )
     rig.render(path)
+    if ramps < 1:  # the hand leaves while the stiffness grows: to the whole at the height where it leaves at most
+        assert 0.25 * (STIFFNESS - 300.0) * deep**2 / 2 < energy(rig).energy_j < (STIFFNESS - 300.0) * deep**2 / 2
+        return
     sampled = (STIFFNESS + 300.0) / 2 * deep * (deep / steps)
     assert energy(rig).energy_j == pytest.approx((STIFFNESS - 300.0) * deep**2 / 2 + sampled, rel=0.02)
 
@@ -395,8 +400,8 @@ RINGS = {
 
 @pytest.mark.parametrize(
     ("material", "limit_n"),
-    [({"stiffness_n_per_m": STIFFNESS}, 0.7), (RINGS, 1.05)],
-    ids=["a force beyond the limit", "vibration up to the limit"],
+    [({"stiffness_n_per_m": STIFFNESS}, 0.7), (RINGS, 1.05), (RINGS, 0.7)],
+    ids=["a force beyond the limit", "vibration up to the limit", "a force beyond the limit and vibration"],
 )
 def test_at_the_limit_control_changes_no_bit_where_it_does_not_act(material: dict[str, object], limit_n: float) -> None:
     """Pressed with 0.96 N in all and stroked, in a corner and over a disc."""

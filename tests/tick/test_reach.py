@@ -133,6 +133,21 @@ def test_jumps_and_stalls_are_met_as_with_few() -> None:
     assert same(few, many, path, periods) > 100
 
 
+def test_where_several_surfaces_are_pressed_the_proxy_meets_the_same_with_few_and_with_many() -> None:
+    """The candidates of a crowd were not sorted, so contacts that begin in one tick came in another order.
+
+    The path of the proxy depends on the order of the pressed surfaces.
+    """
+    for seed in range(40, 60):
+        rng = np.random.default_rng((13, seed))
+        near = {f"near{i}": random_object(rng, rng.uniform(-0.02, 0.02, 2), 0.008) for i in range(12)}
+        around = [0.07 * (1 + i % 3) * np.array([np.cos(i), np.sin(i)]) for i in range(200)]
+        far = {f"far{i}": random_object(rng, place, 0.002) for i, place in enumerate(around)}
+        few = Rig(near, rate_hz=1000, materials=MATERIALS)
+        many = Rig({**near, **far}, rate_hz=1000, materials=MATERIALS)
+        assert same(few, many, wander(rng, 3000, np.zeros(2), 0.03, 0.0049)) > 20
+
+
 def test_walls_in_all_directions_are_met_where_they_are() -> None:
     """A polygon of 90 walls, 1 m across and 9 m from the origin: the sum of K d over those that are behind."""
     center = np.array([6.0, -7.0])
