@@ -197,7 +197,7 @@ HASHES: Final[dict[str, str]] = {
     "rendered at 10 kHz": "569b7c383a03ffc1",
     "rendered at 4 kHz": "32d06172b892ba99",
     "rendered at 1 kHz": "09d5987b6a36fa4e",
-    "compensated": "07afd6ecc7dc1991",
+    "compensated": "41a6095bc1de225e",
     "lowered": "7ae68ff265945769",
     "controlled": "11fd8d997debc193",
     "behind a slow actuator": "e02309271d0b31a4",
