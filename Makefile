@@ -322,7 +322,7 @@ verify-loops: tools ## simulate 10,000 random loops within the margins, 4,000 of
 
 .PHONY: verify-taps
 verify-taps: tools ## tap 2,000 times at random, with and without compensation: contacts and displayed errors
-	@$(BIN)/python -m bench.kept_taps
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m bench.kept_taps
 
 # ---- C tests -----------------------------------------------------------------------------------------------------
 

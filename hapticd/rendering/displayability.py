@@ -312,8 +312,8 @@ def preload_notes(materials: Mapping[str, Material], output: Output, speed_m_per
             problem = (
                 f"is displayed with an error of {error:.2g} % on its wall by a hand that stops at least "
                 f"{1e3 * kept.full_s:.2g} ms after the onset, {depth_mm:.2g} mm deep at {speed_m_per_s:g} m/s; if it "
-                f"stops earlier, compensation is reduced so that the tap stays in contact ({larger:.2g} % if "
-                f"{1e3 * kept.kept_s:.2g} ms after the onset)"
+                f"stops earlier, compensation is reduced so that the tap stays in contact ({larger:.2g} % if it stops "
+                "at the onset)"
             )
             found.append(Problem(path_text(("materials", name, "tap")), problem))
     return found

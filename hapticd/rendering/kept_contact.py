@@ -11,14 +11,14 @@ speed and stops T seconds after the onset makes the depth h_T(t) without a tap; 
 
 Two forces are designed for a tap, with the same poles:
 
-    kept    the least displayed error for which the tap stays in contact with every hand with which a tap without
-            compensation does: h_T >= x for T >= kept_s, which is just below the least T for which that tap stays.
-    full    a smaller error, which needs a hand that stops a little later: h_T >= x for T >= full_s.
+    kept    the least displayed error for which the tap never lifts the handle higher than a tap without compensation
+            does. So it stays in contact wherever that one does, whatever the hand.
+    full    a smaller error, which needs a hand that stops after the onset: h_T >= x for the later stops.
 
-In flight the core mixes them by the measured depth: `kept` at or below the depth h - x of `kept` with T = kept_s,
-`full` at or above that of `full` with T = full_s, linearly between. The part of `full` never grows again
-(csrc/tick/hd_preload.h). Held samples act like the continuous force of the same momentum, which shifts them by less
-than a period.
+In flight the core mixes them by the measured depth: `kept` at or below the depth h - x of `kept` with a hand that stops
+at the onset, `full` at or above that of `full` with T = full_s, linearly between. The part of `full` never grows again
+(csrc/tick/hd_preload.h). The closed forms take held samples for the continuous force of the same momentum, which shifts
+them by less than a period.
 """
 
 from __future__ import annotations
@@ -44,27 +44,32 @@ from hapticd.rendering.compensation import (
 
 PRELOAD_POINTS: Final = 160
 """Number of times at which depths are compared."""
-_STOP_COUNT: Final = 61
+_STOP_COUNT: Final = 121
 """Number of hands that are tried: times at which they stop."""
-_EARLIER_STOPS: Final = 1
-"""`kept` also stays with hands that stop earlier, by this number of hands, than those that hold a plain tap."""
-_LATEST_FULL: Final = 0.9
-"""Latest stop of the weakest hand for which `full` is designed, times the angular frequency of the undamped handle on
-the surface: a later reduction of the force would be felt as a separate vibration."""
+_LATER_STOPS: Final = 3
+"""`full` is mixed in completely for a hand that stops later, by this number of hands, than the weakest that holds it:
+where both forces sound in part, a tap may lift the handle a little further than both designs say."""
+_EARLIEST_FULL: Final = 0.7
+"""Earliest stop of the weakest hand for which `full` is designed, times the angular frequency of the undamped handle on
+the surface. An earlier one would leave a larger error for little."""
+_LATEST_FULL: Final = 1.3
+"""Latest stop of that hand, times the same frequency: a later reduction of the force would be felt as a separate vibration."""
 _LATEST_STOP_PERIODS: Final = 1.5
 """Latest stop of a hand, in periods of the undamped handle on the surface. Later stops make no difference to a tap."""
-_MIN_DEPTH: Final = 0.05
-"""Part of the depth that a tap without compensation has at a time, and that a compensated one keeps at least."""
+_MIN_DEPTH: Final = 0.1
+"""Part of the depth that a tap without compensation has at a time, and that one with `full` has at least."""
 _MAX_INWARD_RATIO: Final = 1.5
 """Largest distance by which a tap pushes the handle into the surface, over that by which a plain one lifts it; at least
 the depth that the approach alone reaches."""
 _MIN_SEPARATION: Final = 0.1
 """Depths of `full` and `kept` that differ by less than this part of their largest difference are not compared: there
 the step of an encoder would decide."""
-_TAIL_PAIRS: Final = ((0.2, 0.5), (0.2, 0.8))
-"""Frequencies of the two tails, over the frequency of the undamped handle on the surface: pairs to try."""
-_TAIL_DECAY: Final = 0.3
-"""Decay rate of these tails, over that angular frequency."""
+_TAIL_PAIRS: Final = tuple((decay + 0.2j, decay + high) for decay in (-0.3, -0.45) for high in (0.5j, 0.8j))
+"""Poles of the two tails, over the angular frequency of the undamped handle on the surface: pairs to try."""
+_LEAST_TAIL_DECAY: Final = 0.3
+"""The least decay rate of them, over that angular frequency."""
+_KEPT_WEIGHT: Final = 0.1
+"""Weight of the displayed error of `kept`, over that of `full`, in the choice of the pair."""
 _FULL_ERROR: Final = 0.085
 """Displayed error of `full` that a push of the hand is asked for."""
 _FULL_ERROR_FACTOR: Final = 1.25
@@ -82,10 +87,8 @@ class KeptTap:
 
     full: tuple[Shape, ...]
     kept: tuple[Shape, ...]
-    kept_s: float
-    """Time from the onset to the stop of the hand from which on a tap without compensation stays in contact."""
     full_s: float
-    """The same time for `full`."""
+    """Time from the onset to the stop of the hand from which on `full` sounds completely."""
     step_s: float
     """Distance between two times of the depths."""
     kept_depth_s: tuple[float, ...]
@@ -118,7 +121,9 @@ class _Contact:
         self.frequency_per_s = math.sqrt(self._stiffness)
         longest = 2 * math.pi * _LATEST_STOP_PERIODS / self.frequency_per_s
         self.stops_s: _Floats = np.asarray(np.linspace(0.0, longest, _STOP_COUNT), np.float64)
-        self.step_s = (Ringing(complex(-_TAIL_DECAY * self.frequency_per_s), 0j).end_s + longest / 2) / PRELOAD_POINTS
+        self.step_s = (
+            Ringing(complex(-_LEAST_TAIL_DECAY * self.frequency_per_s), 0j).end_s + longest / 2
+        ) / PRELOAD_POINTS
         self.t: _Floats = np.asarray(self.step_s * np.arange(1, PRELOAD_POINTS + 1), np.float64)
         depths = np.array([self._depth(float(stop)) for stop in self.stops_s], np.float64)
         self.depths: _Floats = depths
@@ -188,42 +193,29 @@ class _Contact:
         """Return the index of the stop nearest to a time."""
         return int(np.abs(self.stops_s - time_s).argmin())
 
-    def kept_stop(self, plain: _Floats) -> int:
-        """Return the index of a stop just before the first one with which a hand holds the tap without compensation."""
-        held = (self.depths > plain).all(axis=1)
-        return max(0, int(held.argmax()) - _EARLIER_STOPS) if held.any() else 0
-
-    def first_stop(self, height: _Floats, plain: _Floats) -> int | None:
-        """Return the index of the first stop from which on a hand holds a tap that lifts the handle by `height`.
-
-        `plain` is the lift of the tap without compensation.
-        """
-        held = (plain + self.slack(plain) - height >= -1e-9).all(axis=1)
-        return int(held.argmax()) if held.any() else None
-
 
 @lru_cache(maxsize=1024)
 def kept_tap(
     pushes: tuple[tuple[Mode, float], ...], dynamics: Dynamics, rate_hz: float, load: Load, best_in_contact: bool
 ) -> KeptTap | None:
-    """Return the forces of a tap that stays in contact, or None if `full` stays wherever a tap without it does.
+    """Return the forces of a tap that stays in contact, or None if the least error lifts no further than a plain tap.
 
     `pushes` has, for each mode of the tap, the largest coefficient along the normal over the approach speed, in 1/s,
     with its sign. Takes some milliseconds.
     """
-    free_of_bounds = [shapes_of(mode, dynamics, rate_hz, "full", load, best_in_contact)[1] for mode, _ in pushes]
+    least = [shapes_of(mode, dynamics, rate_hz, "full", load, best_in_contact)[1] for mode, _ in pushes]
     contact = _Contact(dynamics, load, 1 / rate_hz)
     plain = [push * (contact.lift(pole_of(mode))).imag for mode, push in pushes]
     total = np.asarray(np.sum(plain, axis=0), np.float64)
     slack = contact.slack(total)
     weights = np.abs([push for _, push in pushes]) / sum(abs(push) for _, push in pushes)
 
-    def designed(poles: tuple[Shape, ...], stop: int) -> tuple[Shape, ...] | None:
-        """Return shapes with the poles of `poles` and the least error that stay with the hand of this stop."""
+    def designed(poles: tuple[Shape, ...], further: _Floats) -> tuple[Shape, ...] | None:
+        """Return shapes with the poles of `poles` and the least error that lift at most `further` than a plain tap."""
         found = []
         for index, (mode, push) in enumerate(pushes):
             shape = poles[index]
-            bounds = plain[index] + weights[index] * slack[stop] - push * contact.kicked(shape)
+            bounds = plain[index] + weights[index] * further - push * contact.kicked(shape)
             rows = push * contact.rows([part.pole for part in shape.parts])
             farthest = max(_MAX_INWARD_RATIO * float(np.abs(plain[index]).max()), float(contact.depths[0].max()))
             inward = farthest + push * contact.kicked(shape)
@@ -237,39 +229,35 @@ def kept_tap(
         lifts = [push * contact.lifted(shape) for (_, push), shape in zip(pushes, shapes, strict=True)]
         return np.asarray(np.sum(lifts, axis=0), np.float64)
 
-    kept_stop = contact.kept_stop(total)
-    free_stop = contact.first_stop(height(tuple(free_of_bounds)), total)
-    if free_stop is not None and free_stop <= kept_stop:
+    if (height(tuple(least)) <= total).all():
         return None
-    tried = [designed(poles, kept_stop) for poles in _with_tails(free_of_bounds, contact)]
-    held = [each for each in tried if each is not None]
+    nothing, latest_stop = np.zeros(PRELOAD_POINTS), contact.stop_at(_LATEST_FULL / contact.frequency_per_s)
+    tried = [(designed(poles, nothing), designed(poles, slack[latest_stop])) for poles in _with_tails(least, contact)]
+    held = [(kept, full) for kept, full in tried if kept is not None and full is not None]
     if not held:
         return None
-    kept = min(held, key=_error)
-    best = designed(kept, _STOP_COUNT - 1) or kept
-    wanted = max(_FULL_ERROR, _FULL_ERROR_FACTOR * _error(best))
+    kept, full = min(held, key=lambda pair: _error(pair[1]) + _KEPT_WEIGHT * _error(pair[0]))
+    wanted = max(_FULL_ERROR, _FULL_ERROR_FACTOR * _error(designed(kept, slack[-1]) or full))
     # The weakest hand with which the error is at most the wanted one, by bisection: the error falls with the push.
-    low_stop, high_stop = kept_stop, max(kept_stop, contact.stop_at(_LATEST_FULL / contact.frequency_per_s))
-    latest = designed(best, high_stop)
-    if latest is None or _error(kept) <= wanted:
-        latest, high_stop = kept, kept_stop
-    full = latest
+    low_stop, high_stop = contact.stop_at(_EARLIEST_FULL / contact.frequency_per_s), latest_stop
+    if _error(kept) <= wanted:
+        full, high_stop = kept, 0
     while high_stop - low_stop > 1:
         middle = (low_stop + high_stop) // 2
-        shapes = designed(best, middle)
+        shapes = designed(kept, slack[middle])
         if shapes is not None and _error(shapes) <= wanted:
             full, high_stop = shapes, middle
         else:
             low_stop = middle
-    low = np.maximum(contact.depths[kept_stop] - height(kept), 0.0)
-    high = contact.depths[high_stop] - height(full)
+    full_stop = 0 if full == kept else high_stop + _LATER_STOPS
+    low = np.maximum(contact.depths[0] - height(kept), 0.0)
+    high = contact.depths[full_stop] - height(full)
     separation = high - low
     high = np.where(separation > _MIN_SEPARATION * separation.max(), high, low)
     return KeptTap(
         full,
         kept,
-        float(contact.stops_s[kept_stop]),
-        float(contact.stops_s[high_stop]),
+        float(contact.stops_s[full_stop]),
         contact.step_s,
         tuple(low.tolist()),
         tuple(high.tolist()),
@@ -285,7 +273,7 @@ def _with_tails(shapes: list[Shape], contact: _Contact) -> list[tuple[Shape, ...
     """Return the shapes with each pair of tails, or their own tail and a further one; gains are not set."""
     found = []
     for pair in _TAIL_PAIRS:
-        poles = (complex(-_TAIL_DECAY, ratio) * contact.frequency_per_s for ratio in pair)
+        poles = (ratio * contact.frequency_per_s for ratio in pair)
         tail, second_tail = (Ringing(pole, 0j) for pole in poles)
         found.append(tuple(replace(shape, tail=tail, second_tail=second_tail) for shape in shapes))
     if any(shape.tail is not None for shape in shapes):
