@@ -46,17 +46,18 @@ PRELOAD_POINTS: Final = 160
 """Number of times at which depths are compared."""
 _STOP_COUNT: Final = 121
 """Number of hands that are tried: times at which they stop."""
-_LATER_STOPS: Final = 3
+_LATER_STOPS: Final = 4
 """`full` is mixed in completely for a hand that stops later, by this number of hands, than the weakest that holds it:
 where both forces sound in part, a tap may lift the handle a little further than both designs say."""
 _EARLIEST_FULL: Final = 0.7
 """Earliest stop of the weakest hand for which `full` is designed, times the angular frequency of the undamped handle on
 the surface. An earlier one would leave a larger error for little."""
 _LATEST_FULL: Final = 1.3
-"""Latest stop of that hand, times the same frequency: a later reduction of the force would be felt as a separate vibration."""
+"""Latest stop of that hand, times the same frequency: a later reduction of the force would be felt as a separate
+vibration."""
 _LATEST_STOP_PERIODS: Final = 1.5
 """Latest stop of a hand, in periods of the undamped handle on the surface. Later stops make no difference to a tap."""
-_MIN_DEPTH: Final = 0.1
+_MIN_DEPTH: Final = 0.15
 """Part of the depth that a tap without compensation has at a time, and that one with `full` has at least."""
 _MAX_INWARD_RATIO: Final = 1.5
 """Largest distance by which a tap pushes the handle into the surface, over that by which a plain one lifts it; at least
