@@ -2,13 +2,15 @@
  *
  * A surface pushes and never pulls. A fully compensated tap can lift the probe off a surface that a tap without
  * compensation does not leave. Such a tap has two sets of gains (hd_table_numbers.h). With the first one it never lifts
- * the probe higher than a tap without compensation does. The second one, of full compensation, needs a larger push. The difference rings as separate modes of the slot, `preloaded`, times a share that starts at 1. At
- * every tick of the contact the share is limited to
+ * the probe higher than a tap without compensation does. The second one, of full compensation, needs a larger push. The
+ * difference rings as separate modes of the slot, `preloaded`, times a share that starts at 1. At every tick of the
+ * contact the share is limited to
  *
  *     (d / v - low(t)) / (high(t) - low(t)),
  *
  * with the depth d, the approach speed v, and the depths per approach speed of the first set with a hand that stops at
- * the onset, low, and of the second with the weakest hand that gets all of it, high. The share never grows again; when the contact ends it is 0. Servo thread. */
+ * the onset, low, and of the second with the weakest hand that gets all of it, high. The share never grows again; when
+ * the contact ends it is 0. Servo thread. */
 #ifndef HD_PRELOAD_H
 #define HD_PRELOAD_H
 
