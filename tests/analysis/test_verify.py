@@ -101,7 +101,7 @@ def test_a_tap_on_a_wall(name: str, compensation: str) -> None:
     expected = wall_error_by_scipy(config, force, 800.0, verdict.strike)
     # The error is largest at 30 Hz, where the lines of the two transforms begin at different places.
     assert verdict.error == pytest.approx(expected, abs=5e-3)
-    assert verdict.error < 0.07 or compensation == "off"
+    assert verdict.error < 0.1 or compensation == "off"
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])

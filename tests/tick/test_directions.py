@@ -151,8 +151,7 @@ def displayed(angle: float, name: str = "wood", stiffness: float = 800.0) -> tup
     objects = {"wall": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "m"}}
     rig = Rig(objects, materials={"m": material}, device=device)
     speed, ticks = 1 / 64, 1200
-    path = np.full((ticks + 1, 2), [0.0, -speed / RATE * AT_TICK])
-    path[0, 1] = speed / RATE * (1 - AT_TICK)
+    path = np.column_stack([np.zeros(ticks + 1), -speed / RATE * (np.arange(ticks + 1) - 1 + AT_TICK)])
     force = rig.render(path, velocity=np.tile([0.0, -speed], (ticks + 1, 1)))["vibration_force_n"][1:]
     return acceleration(force[:, 1], stiffness), acceleration(force[:, 0])
 
