@@ -25,21 +25,22 @@ import numpy.typing as npt
 from hapticd.base.core import EventKind, lib, pointer
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import shipped_materials
+from hapticd.config.modes import Mode
+from hapticd.rendering.compensation import ERROR_BAND_LOW_HZ, ERROR_BAND_RATE_FRACTION
+from hapticd.rendering.displayed_error import PARTS_PER_PERIOD, band_error, waveform
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import CompiledScene, Simulation
 
 Floats = npt.NDArray[np.float64]
 
 RATE_HZ: Final = 10_000.0
-FINER: Final = 16
-"""Parts of a period for which the acceleration is computed."""
+FINE_RATE_HZ: Final = RATE_HZ * PARTS_PER_PERIOD
+"""Rate of the accelerations that are compared."""
 LEAD_S: Final = 0.1
 """Time before the onset."""
 COMPARED_S: Final = 0.33
 """Time from the onset that is compared."""
-SAMPLES: Final = 1 << 17
-METALS: Final = ("aluminum", "glass", "cast_iron", "steel")
-SHIPPED: Final = ("wood", "acrylic", "delrin", *METALS)
+TAPPED_MATERIALS: Final = ("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel")
 MAX_KEPT_ERROR: Final = 0.1
 MAX_ERROR_RATIO: Final = 1.02
 
@@ -70,7 +71,7 @@ def random_tap(random: np.random.Generator) -> Tap:
         return float(np.exp(random.uniform(math.log(low), math.log(high))))
 
     if random.random() < 0.6:
-        shipped = shipped_materials()[SHIPPED[random.integers(len(SHIPPED))]].to_dict()
+        shipped = shipped_materials()[TAPPED_MATERIALS[random.integers(len(TAPPED_MATERIALS))]].to_dict()
         material = {key: shipped[key] for key in ("stiffness_n_per_m", "tap")}
     else:
         frequency_hz, decay_time_s = between(40, 400), between(0.001, 0.01)
@@ -97,7 +98,7 @@ def displayed(tap: Tap) -> tuple[int, Displayed, Displayed]:
     path = [[0, 0, tap.speed_m_per_s * LEAD_S], [still_s, 0, -tap.depth_m], [still_s + 1, 0, -tap.depth_m]]
 
     def run(compensation: str, vibration: bool) -> tuple[Any, Floats]:
-        """Return the events of contact, and the handle's speed at FINER times in a period."""
+        """Return the events of contact, and the handle's speed at FINE_RATE_HZ."""
         scene = CompiledScene(
             {
                 "servo": {"rate_hz": RATE_HZ},
@@ -110,10 +111,10 @@ def displayed(tap: Tap) -> tuple[int, Displayed, Displayed]:
             }
         )
         samples, _, events = Simulation(scene, path).run(LEAD_S + COMPARED_S + 0.03)
-        again = new_sim(load_config({"device": {"sim": {**sim, "start_m": [0, 0]}}}).device.sim, RATE_HZ * FINER)
+        again = new_sim(load_config({"device": {"sim": {**sim, "start_m": [0, 0]}}}).device.sim, FINE_RATE_HZ)
         lib.hd_sim_operate(again, operator := new_operator(path, "linear"))
         lib.hd_sim_settle(again)
-        force = np.ascontiguousarray(np.repeat(samples["force_n"], FINER, axis=0))
+        force = np.ascontiguousarray(np.repeat(samples["force_n"], PARTS_PER_PERIOD, axis=0))
         motion = np.empty((len(force), 4))
         lib.hd_sim_drive(again, pointer("double[]", force), len(force), pointer("double[]", motion))
         del operator
@@ -124,18 +125,16 @@ def displayed(tap: Tap) -> tuple[int, Displayed, Displayed]:
     for compensation in ("off", "full"):
         events, speed = run(compensation, True)
         onset = events[0]
-        before = float(onset["before_tick_s"]) * RATE_HZ * FINER
-        first = int(onset["tick"]) * FINER - round(before)
-        count = round(COMPARED_S * RATE_HZ * FINER) - 1
-        moved = np.diff((speed - reference)[first : first + count + 1]) * RATE_HZ * FINER
-        mode = tap.material["tap"]
-        pole = complex(-1 / mode["decay_time_s"], 2 * math.pi * mode["frequency_hz"])
-        edges = (np.arange(count + 1) + before - round(before)) / (RATE_HZ * FINER)
-        wanted = float(onset["amplitude_m_per_s2"]) * np.diff((np.exp(pole * edges) / pole).imag) * RATE_HZ * FINER
-        lines = np.fft.rfftfreq(SAMPLES, 1 / (RATE_HZ * FINER))
-        band = (lines >= 30) & (lines <= 0.4 * RATE_HZ)
-        off, aim = (np.linalg.norm(np.fft.rfft(each, SAMPLES)[band]) for each in (moved - wanted, wanted))
-        found.append(Displayed(len(events), float(off / aim)))
+        before = float(onset["before_tick_s"]) * FINE_RATE_HZ
+        first = int(onset["tick"]) * PARTS_PER_PERIOD - round(before)
+        count = round(COMPARED_S * FINE_RATE_HZ) - 1
+        moved = np.diff((speed - reference)[first : first + count + 1]) * FINE_RATE_HZ
+        mode = Mode(1 / tap.material["tap"]["decay_time_s"], 2 * math.pi * tap.material["tap"]["frequency_hz"])
+        wanted = float(onset["amplitude_m_per_s2"]) * waveform(
+            mode, count, FINE_RATE_HZ, (before - round(before)) / FINE_RATE_HZ
+        )
+        error = band_error(moved, wanted, FINE_RATE_HZ, ERROR_BAND_LOW_HZ, ERROR_BAND_RATE_FRACTION * RATE_HZ)
+        found.append(Displayed(len(events), error))
     return len(still), found[0], found[1]
 
 

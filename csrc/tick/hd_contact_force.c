@@ -36,7 +36,6 @@
 #include "tick/hd_surface_noise.h"
 
 #define HD_PI 3.14159265358979323846
-#define HD_UNBOUNDED 1e300 /* half-length, in m, of a surface that is not round */
 
 /* Whether the force on a round object depends on s. */
 HD_RT static int needs_arc_length(const struct hd_table *table, const struct hd_object *object) {
@@ -355,7 +354,7 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         return;
     }
     hd_tangent_of(slot, travel.point.normal, travel.tangent);
-    travel.half_length_m = HD_UNBOUNDED;
+    travel.half_length_m = HD_UNBOUNDED_M;
     travel.jump_m = 0.0;
     travel.fraction = fraction;
     travel.part = 1.0;

@@ -2,7 +2,6 @@
 #include "tick/hd_seam.h"
 
 #define HD_SEAM_TICKS UINT16_MAX /* the longest ramp */
-#define HD_UNBOUNDED_M 1e300     /* grooves of a flat surface exist at every s */
 
 /* Finds the contact point of the last sample on a surface that has ends. Returns half the length of the surface; 0: the
  * shape has no ends. */

@@ -13,6 +13,9 @@
 #include "base/hd_rt.h"
 #include "tick/hd_state.h"
 
+/* Half-length, in m, of a flat surface: its grooves exist at every s. */
+#define HD_UNBOUNDED_M 1e300
+
 struct hd_dominant_material {
     const struct hd_material *material; /* the one with the largest weight: its modes and texture are displayed */
     double noise_weight;                /* gain of its noise: 1, less near an edge to a material without noise */

@@ -83,6 +83,8 @@ MAX_CORRECTED_SAMPLES: int = lib.HD_KICKS
 """Number of ticks from the beginning of a strike in which compensation can correct the force."""
 TUNE_NODE_NUMBERS: int = lib.HD_TUNE_NODE
 """Count of values that describe compensation at one frequency: enum hd_tune_number, csrc/scene/hd_table_numbers.h."""
+KEPT_TAP_GAINS: int = lib.HD_KEPT_GAINS
+"""Count of values for the gains of one mode of a compensated tap: enum hd_kept_number, as above."""
 MAX_WAVEFORM_SAMPLES: int = lib.HD_WAVE_SAMPLES
 """Maximum number of samples of a tap's waveform."""
 WAVEFORM_PARTS: int = lib.HD_WAVE_PARTS

@@ -348,10 +348,9 @@ class _Band:
             own = np.linalg.lstsq(np.vstack(decays), target - fixed, rcond=None)[0]
             found = np.concatenate((own, kicks))
         shape = self.shape(poles, found[:4])
-        pairs = found[4:].reshape(-1, 2)
-        peak = shape.peak + float(max(np.abs(pairs[:, 0]).max(), np.abs(pairs.sum(1)).max()))
+        kicked_pairs = tuple((float(c), float(d)) for c, d in found[4:].reshape(-1, 2))
+        peak = shape.peak + _largest_kick(kicked_pairs)
         errors = [self.error(list(each.T), found, onset) for each, onset in zip(columns, _ONSET_FRACTIONS, strict=True)]
-        kicked_pairs = tuple((float(c), float(d)) for c, d in pairs)
         shape = replace(shape, peak=peak, error=errors[0], limited=peak > MAX_STRIKE_FORCE_RATIO, kicks=kicked_pairs)
         return shape, _root_mean_square(errors)
 
@@ -371,7 +370,7 @@ class _Band:
             return None
         found = self.shape(poles, gains)
         error = float(np.linalg.norm(columns[0] @ gains - targets[0])) / self._grid.target_norm
-        peak = found.peak + max(max(abs(c), abs(c + d)) for c, d in shape.kicks)
+        peak = found.peak + _largest_kick(shape.kicks)
         return replace(found, peak=peak, error=error, kicks=shape.kicks)
 
     def _kicked(self, shape: Shape, onset: float) -> _Floats:
@@ -381,9 +380,8 @@ class _Band:
 
     def error_over_onsets(self, shape: Shape) -> float:
         """Return the displayed error of a shape without kicks, RMS over _ONSET_FRACTIONS."""
-        sounding = [shape.mode] if shape.tail is None else [shape.mode, shape.tail]
-        poles = [each.pole for each in sounding]
-        gains = np.array([x for each in sounding for x in (each.gain.real, each.gain.imag)])
+        poles = [part.pole for part in shape.parts]
+        gains = np.array([x for part in shape.parts for x in (part.gain.real, part.gain.imag)])
         return _root_mean_square([self.error(self.columns(poles, onset), gains, onset) for onset in _ONSET_FRACTIONS])
 
 
@@ -439,6 +437,11 @@ def _band(
 ) -> _Band:
     """Return a band, cached because several shapes with the same poles are designed in a row."""
     return _Band(mode, dynamics, rate_hz, load, tails, with_onsets)
+
+
+def _largest_kick(kicks: tuple[tuple[float, float], ...]) -> float:
+    """Return the largest magnitude of the kicks, for any onset in the period before the first sample."""
+    return max(max(abs(c), abs(c + d)) for c, d in kicks)
 
 
 def _root_mean_square(errors: list[float]) -> float:

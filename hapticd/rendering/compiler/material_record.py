@@ -11,7 +11,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.core import MAX_CORRECTED_SAMPLES, CData, Texture, ffi
+from hapticd.base.core import KEPT_TAP_GAINS, MAX_CORRECTED_SAMPLES, CData, Texture, ffi
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.texture import FrequencyTable, Grooves
@@ -27,8 +27,6 @@ Numbers: TypeAlias = dict[str, npt.NDArray[np.float64]]
 
 _DEFAULT_AIM: Final = (1.0, 0.0)
 """Aim (AimedKeys.aim) of a tap or a rupture without a direction, along the normal; also the core's default."""
-_KEPT_GAINS: Final = 8
-"""Numbers of the gains of one mode of a compensated tap: the core's HD_KEPT_GAINS."""
 _SIGNED_MEMBERS: Final = (
     *("gain_re", "gain_im", "tail_re", "tail_im"),
     *("free_gain_re", "free_gain_im", "free_tail_re", "free_tail_im"),
@@ -142,7 +140,7 @@ def _put_kept(record: CData, numbers: Numbers, output: Output, touched: Touched)
             members[index].peak = max(full.peak, shape.peak)
         sign = math.copysign(1.0, push * touched.pushes[0][1])
         gains += [sign * part for gain in found for part in (gain.real, gain.imag)]
-    gains += [0.0] * (2 * _KEPT_GAINS - len(gains))
+    gains += [0.0] * (2 * KEPT_TAP_GAINS - len(gains))
     rotor = cmath.exp(pole / output.rate_hz)
     end_s = Ringing(pole, 0j).end_s
     tail_numbers = (rotor.real, rotor.imag, -pole.real, pole.imag, end_s)
