@@ -315,12 +315,15 @@ enum hd_signs_problem {
     HD_SIGNS_STILL = 3,     /* the handle does not move */
     HD_SIGNS_UNCERTAIN = 4, /* the pulses give different results */
     HD_SIGNS_MOVING = 5,    /* the handle does not rest, so no pulse begins */
-    HD_SIGNS_CONTACT = 6    /* an object is touched, so no pulse begins */
+    HD_SIGNS_CONTACT = 6,   /* an object is touched, so no pulse begins */
+    HD_SIGNS_IDLE = 7       /* the device reports that it exerts no force, for the reasons from HD_SIGNS_IDLE_SHIFT */
 };
 
-/* Bits of hd_counters.signs: enum hd_signs_state in the lowest 8, above them problem and axis. */
+/* Bits of hd_counters.signs: enum hd_signs_state in the lowest 8, above them problem, axis, and the reasons of
+ * HD_SIGNS_IDLE: bit (enum hd_hid_meaning - 1) of a state in which the device exerts no force. */
 #define HD_SIGNS_PROBLEM_SHIFT 8
 #define HD_SIGNS_AXIS_SHIFT 16
+#define HD_SIGNS_IDLE_SHIFT 24
 
 /* The input of the check in a tick. */
 struct hd_signs_input {
@@ -332,7 +335,7 @@ struct hd_signs_input {
     uint32_t enabled; /* 1: forces are requested */
     uint32_t contact; /* 1: an object is touched */
     uint32_t jumped;  /* 1: the position is not comparable with the previous one */
-    uint32_t unused;
+    uint32_t idle;    /* bit (enum hd_hid_meaning - 1): the device reports that it exerts no force for this reason */
 };
 
 /* The check without a servo, for tests: hd_signs_try runs one tick, writes its force and returns hd_counters.signs. */

@@ -110,7 +110,7 @@ struct hd_counters {
     uint32_t memory_refused; /* errno if tables have grown beyond the memory that may be locked; 0: as granted */
     uint32_t overloaded;     /* 1: the thread ended, or is about to, because of an overload; see hd_servo_restart */
     double missed_share;     /* missed fraction of the periods of the last complete second */
-    uint32_t signs; /* signs of a HID device: enum hd_signs_state, HD_SIGNS_PROBLEM_SHIFT, HD_SIGNS_AXIS_SHIFT */
+    uint32_t signs;          /* signs of a HID device: enum hd_signs_state, HD_SIGNS_PROBLEM_SHIFT, ... */
     uint32_t unused;
     struct hd_energy energy; /* energy after the last tick that the passivity observer saw */
 };

@@ -64,6 +64,7 @@ HD_RT static inline void hd_device_look(const struct hd_device *device, int64_t 
         look->connection = 1;
         look->fresh = look->reading.interval_s > 0.0;
         look->gone = 0;
+        look->idle = 0;
         look->signs = NULL;
     } else {
         hd_hid_step_look(device->hid, now_ns, look);

@@ -12,6 +12,7 @@ struct hd_look {
     uint32_t connection;              /* number of the connection that the position belongs to; 0: no position yet */
     uint32_t fresh;                   /* 1: the device reported a position since the last call */
     uint32_t gone;                    /* 1: not connected, or no position yet although an earlier connection had one */
+    uint32_t idle;                    /* as in struct hd_signs_input */
     const struct hd_hid_signs *signs; /* signs of that connection */
 };
 

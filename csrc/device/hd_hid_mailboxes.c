@@ -22,6 +22,14 @@ HD_RT static void take_position(struct hd_hid *hid, const struct hd_position *po
     hid->seen.position_m[1] = position->position_m[1];
 }
 
+/* Returns the reasons why the device exerts no force, as it reports them, or because the writer sends none. */
+HD_RT static uint32_t idle_reasons(const struct hd_hid *hid) {
+    const uint32_t needed = 1u << (HD_HID_ACTUATORS - 1) | 1u << (HD_HID_SAFETY - 1) | 1u << (HD_HID_POWER - 1);
+    const uint32_t states = hd_atomic_u32_load_relaxed(&hid->states);
+    return (hd_atomic_u32_load_relaxed(&hid->states_known) & needed & ~states) | (states & 1u << (HD_HID_PAUSED - 1)) |
+           hd_atomic_u32_load_relaxed(&hid->reset) << (HD_HID_RESET - 1);
+}
+
 HD_RT void hd_hid_step_look(struct hd_hid *hid, int64_t now_ns, struct hd_look *look) {
     look->gone = !hd_atomic_u32_load_acquire(&hid->connected);
     look->fresh = 0;
@@ -43,6 +51,7 @@ HD_RT void hd_hid_step_look(struct hd_hid *hid, int64_t now_ns, struct hd_look *
     }
     look->reading = hid->seen;
     look->connection = hid->seen_connection;
+    look->idle = idle_reasons(hid);
     look->signs = &hid->seen_signs;
 }
 

@@ -32,22 +32,18 @@ HD_RT static void restart_round(struct hd_signs *signs) {
     begin_rest(signs);
 }
 
+HD_RT static void wait_for(struct hd_signs *signs, uint32_t problem) {
+    signs->state = HD_SIGNS_WAITING;
+    signs->problem = problem;
+}
+
 HD_RT static void begin_axis(struct hd_signs *signs, uint32_t axis) {
     signs->axis = axis;
     signs->round = 0;
     signs->wrong = HD_SIGNS_FINE;
+    signs->state = HD_SIGNS_CHECKING;
     signs->problem = HD_SIGNS_FINE;
     restart_round(signs);
-}
-
-HD_RT static void begin_check(struct hd_signs *signs) {
-    signs->state = HD_SIGNS_CHECKING;
-    begin_axis(signs, (signs->of.axes & 1u) != 0 ? 0u : 1u);
-}
-
-HD_RT static void wait_for(struct hd_signs *signs, uint32_t problem) {
-    signs->state = HD_SIGNS_WAITING;
-    signs->problem = problem;
 }
 
 /* Evaluates a round: compares the displacements along both axes for a push along `axis`, and checks that the four
@@ -87,6 +83,15 @@ HD_RT static uint32_t round_problem(const struct hd_signs *signs) {
 
 HD_RT static void evaluate_round(struct hd_signs *signs) {
     const uint32_t problem = round_problem(signs);
+    if (signs->idle != 0) {
+        if (problem == HD_SIGNS_STILL || problem == HD_SIGNS_UNCERTAIN) {
+            restart_round(signs);
+            return;
+        }
+        signs->ignored |= signs->idle;
+        signs->idle = 0;
+        signs->state = HD_SIGNS_CHECKING;
+    }
     if (problem == HD_SIGNS_FINE) {
         if (signs->axis == 0 && (signs->of.axes & 2u) != 0) {
             begin_axis(signs, 1);
@@ -94,6 +99,7 @@ HD_RT static void evaluate_round(struct hd_signs *signs) {
         }
         signs->state = HD_SIGNS_RIGHT;
         signs->problem = HD_SIGNS_FINE;
+        signs->passed = 1;
         return;
     }
     signs->problem = problem;
@@ -150,7 +156,7 @@ HD_RT static void step_rest(struct hd_signs *signs, const double position_m[2]) 
         return;
     }
     if (handle_rested(signs, at_s)) {
-        if (signs->state == HD_SIGNS_WAITING) {
+        if (signs->state == HD_SIGNS_WAITING && signs->idle == 0) {
             signs->state = HD_SIGNS_CHECKING;
             signs->problem = HD_SIGNS_FINE;
         }
@@ -164,7 +170,9 @@ HD_RT static void step_rest(struct hd_signs *signs, const double position_m[2]) 
     signs->phase_s = HD_SETTLE_S;
     signs->waited_s = waited_s;
     if (waited_s > HD_MAX_WAIT_S) {
-        wait_for(signs, HD_SIGNS_MOVING);
+        if (signs->idle == 0) {
+            wait_for(signs, HD_SIGNS_MOVING);
+        }
         signs->pulse = 0; /* earlier pulses belong to another position */
     }
 }
@@ -251,8 +259,15 @@ HD_RT int hd_signs_step(struct hd_signs *signs, const struct hd_hid_signs *of, c
     if (of->number != signs->of.number || (of->number == 0 && signs->state != HD_SIGNS_TRUSTED)) {
         *signs = (struct hd_signs){.of = *of, .state = of->number == 0 ? HD_SIGNS_TRUSTED : HD_SIGNS_UNCHECKED};
     }
-    if (signs->state == HD_SIGNS_TRUSTED || signs->state == HD_SIGNS_RIGHT) {
+    if (signs->state == HD_SIGNS_TRUSTED) {
         return 0;
+    }
+    const uint32_t idle = input->idle & ~signs->ignored;
+    if (signs->passed) {
+        signs->idle = input->enabled ? idle : 0u;
+        signs->state = signs->idle != 0 ? HD_SIGNS_WAITING : HD_SIGNS_RIGHT;
+        signs->problem = signs->idle != 0 ? HD_SIGNS_IDLE : HD_SIGNS_FINE;
+        return signs->idle != 0;
     }
     if (!input->enabled) {
         if (signs->state == HD_SIGNS_CHECKING || signs->state == HD_SIGNS_WAITING) {
@@ -261,10 +276,18 @@ HD_RT int hd_signs_step(struct hd_signs *signs, const struct hd_hid_signs *of, c
         }
         return 0;
     }
-    if (signs->state == HD_SIGNS_UNCHECKED || signs->state == HD_SIGNS_UNCLEAR) {
-        begin_check(signs);
+    if (signs->state == HD_SIGNS_WRONG) {
+        return 1;
     }
-    if (signs->state == HD_SIGNS_WRONG || input->gain > 0.0) {
+    const int begins = signs->state == HD_SIGNS_UNCHECKED || signs->state == HD_SIGNS_UNCLEAR;
+    if (begins || idle != signs->idle) {
+        signs->idle = idle;
+        begin_axis(signs, !begins ? signs->axis : (signs->of.axes & 1u) != 0 ? 0u : 1u);
+    }
+    if (idle != 0) {
+        wait_for(signs, HD_SIGNS_IDLE);
+    }
+    if (input->gain > 0.0) {
         return 1;
     }
     if (input->contact) {
@@ -297,6 +320,7 @@ HD_RT void hd_signs_watch(struct hd_signs *signs, const struct hd_look *look, st
         .enabled = state->enabled,
         .contact = state->active_count > 0,
         .jumped = !state->located || input->glitch_m_per_s > 0.0,
+        .idle = look->idle,
     };
     input->checking = (uint32_t)hd_signs_step(signs, look->signs, &signs_input, input->check_n);
     if (state->enabled && (signs->state == HD_SIGNS_WRONG || signs->state == HD_SIGNS_UNCLEAR)) {
@@ -305,7 +329,8 @@ HD_RT void hd_signs_watch(struct hd_signs *signs, const struct hd_look *look, st
 }
 
 HD_RT uint32_t hd_signs_told(const struct hd_signs *signs) {
-    return signs->state | signs->problem << HD_SIGNS_PROBLEM_SHIFT | signs->axis << HD_SIGNS_AXIS_SHIFT;
+    return signs->state | signs->problem << HD_SIGNS_PROBLEM_SHIFT | signs->axis << HD_SIGNS_AXIS_SHIFT |
+           signs->idle << HD_SIGNS_IDLE_SHIFT;
 }
 
 struct hd_signs *hd_signs_new(void) {

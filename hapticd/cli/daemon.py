@@ -325,8 +325,10 @@ def force_command(state: str, as_json: bool) -> None:
             why = error.message.partition(": ")[0]
             raise RemoteError(error.code, f"{why}, and the cause persists", error.data) from None
     if "signs" in result:
-        advice = result["signs"]["advice"] or "let go of the handle"
-        state_text = f"on, once the check of signs has passed: {advice}"
+        advice = result["signs"]["advice"]
+        state_text = (
+            f"on, but held back: {advice}" if advice else "on, once the check of signs has passed: let go of the handle"
+        )
     elif result["forces"] == "faulted":
         state_text = "off: a fault is latched; see `hapticd status`"
     else:

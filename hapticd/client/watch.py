@@ -136,8 +136,10 @@ class View:
         status = self.status
         connection = cast("dict[str, Any]", status.get("connection") or {})
         right, style = f"forces {status['forces']} ", "bold white on red"
-        if status["forces"] == "on" and connection.get("signs", {}).get("state") in ("checking", "waiting"):
-            right, style = "signs are checked ", "black on yellow"
+        signs = connection.get("signs", {})
+        if status["forces"] == "on" and signs.get("state") in ("checking", "waiting"):
+            right = "device exerts no force " if signs.get("problem") == "idle" else "signs are checked "
+            style = "black on yellow"
         elif status["forces"] in ("on", "off"):
             style = f"black on {'green' if status['forces'] == 'on' else 'yellow'}"
         left = f" hapticd {status['version']}  {status['device']}  {wording.si(status['rate_hz'], 'Hz')}"

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 
 from hapticd.base import wording
 from hapticd.base.codec import Encoded
-from hapticd.base.core import Fault, SignsState
+from hapticd.base.core import Fault
 from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.base.model import MAX_FAULTS, Model, problems_of
 from hapticd.base.steps import Steps, finish
@@ -61,7 +61,6 @@ from hapticd.daemon.reload import needing_restart, read_again
 from hapticd.daemon.status import Status
 from hapticd.daemon.status_text import FAULT_REASONS
 from hapticd.daemon.streams import NotInTurnError, Streams
-from hapticd.hid.signs import SIGNS_REMEDY
 from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
@@ -536,17 +535,15 @@ class Methods:
         if not counters.forces_on:
             raise MethodError(Code.FORCES_OFF, "forces are off: `hapticd force on` or set_forces turns them on")
         if counters.signs.holds_back:
-            waits = counters.signs.line() or "they begin when the check has ended"
-            raise MethodError(
-                Code.FORCES_OFF, f"forces are held back while the signs of the device are checked: {waits}"
-            )
+            waits = counters.signs.line() or "they begin when the signs of the device are checked"
+            raise MethodError(Code.FORCES_OFF, f"forces are held back: {waits}")
 
     def _off_because(self, faults: Fault) -> str:
         signs = self._engine.counters().signs
         words = FAULT_REASONS | ({"signs": signs.problem_text} if signs.problem_text else {})
         reasons = " and ".join(words[name] for name in fault_names(faults))
-        if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
-            return f"forces are off because {reasons}: {SIGNS_REMEDY}"
+        if Fault.SIGNS in faults and signs.problem_text:
+            return f"forces are off because {reasons}: {signs.advice}"
         return f"forces are off because {reasons}: `hapticd force on` or set_forces turns them on again"
 
 

@@ -82,8 +82,9 @@ def quantile_ns(histogram: Mapping[str, Any], probability: float) -> float:
 def _forces(status: Status) -> Iterator[Line]:
     if not status["faults"]:
         off = status["forces"] == "off"
-        held = _signs(status).get("state") in ("checking", "waiting")
-        on = "on, but held back while the signs of the device are checked" if held else status["forces"]
+        signs = _signs(status)
+        why = "the device exerts none" if signs.get("problem") == "idle" else "the signs of the device are checked"
+        on = f"on, but held back while {why}" if signs.get("state") in ("checking", "waiting") else status["forces"]
         yield "forces", "off: `hapticd force on` turns them on" if off else on
         return
     reasons = [FAULT_REASONS.get(name, name.replace("_", " ")) for name in status["faults"]]

@@ -12,10 +12,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from hapticd.base.core import ffi, lib
+from hapticd.base.core import HidMeaning, ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
 from hapticd.hid.device import Device, Driver, arrived_reports
 from hapticd.hid.plan import DeviceError, Plan
+from hapticd.hid.signs import STILL_ADVICE, idle_texts
 
 MAX_FORCE_SHARE: Final = 0.1
 """Largest force of a calibration, as a fraction of the device's largest force."""
@@ -54,6 +55,8 @@ class _Pusher:
         self._described = plan.to_c()
         self._renewed = now()
         self.position_m: list[float | None] = [None, None]
+        self.idle = 0
+        """Why the device exerts no force, as the newest PID State reports it: `SignsStatus.idle`."""
 
     def put(self, x_n: float, y_n: float) -> None:
         """Send a force, wait for PUSH_STEP_S, and read the reports that arrived."""
@@ -72,13 +75,19 @@ class _Pusher:
         self.read()
 
     def read(self) -> None:
-        """Read the queued input reports and store the newest position of each axis."""
+        """Read the queued input reports, and store the newest position of each axis and the state of the device."""
         numbered = self._plan.x.report_id != 0
         for report in arrived_reports(self._device.fileno()):
             data = report if numbered else b"\0" + report
             for place, axis in enumerate((self._plan.x, self._plan.y)):
                 if data[0] == axis.report_id and axis.bits.end <= 8 * (len(data) - 1):
                     self.position_m[place] = (axis.bits.get(data) - axis.zero_counts) * axis.m_per_count
+            for state in self._plan.states:
+                here = data[0] == state.report_id and state.bits.end <= 8 * (len(data) - 1)
+                if here and state.meaning != HidMeaning.RESET:
+                    bit = 1 << (state.meaning - 1)
+                    is_idle = bool(state.bits.get(data)) == (state.meaning == HidMeaning.PAUSED)
+                    self.idle = self.idle | bit if is_idle else self.idle & ~bit
 
     def push(self, along: int, force_n: float, half_m: float) -> tuple[float, float]:
         """Push the handle along the device's axis 0 or 1, and return its motion along x and y, in m.
@@ -144,10 +153,15 @@ def calibrate(
             back = pusher.push(along, -force_n, half_m)
             moved[name] = ((there[0] - back[0]) / 2.0, (there[1] - back[1]) / 2.0)
             if max(map(abs, moved[name])) < MIN_MOTION_SHARE * half_m:
+                advice = (
+                    ": ".join(idle_texts(pusher.idle))
+                    if pusher.idle
+                    else f"{STILL_ADVICE}, check that the device accepts these reports, or try a larger --force"
+                )
                 raise DeviceError(
                     f"the handle did not move along any axis when {force_n:g} N pushed along the device's {name} axis, "
-                    f"nor for -{force_n:g} N: sent reports: {pusher.sent()} (hex, id first); release the handle, check "
-                    f"that the device accepts these reports, or try a larger --force{_single_axis_hint(moved)}"
+                    f"nor for -{force_n:g} N: sent reports: {pusher.sent()} (hex, id first); "
+                    f"{advice}{_single_axis_hint(moved)}"
                 )
         return Calibration(_force_axes_of(moved), moved)
     finally:

@@ -9,7 +9,9 @@ import logging
 from dataclasses import dataclass
 from typing import Final
 
-from hapticd.base.core import SignsProblem, SignsState, lib
+from hapticd.base import wording
+from hapticd.base.core import HidMeaning, SignsProblem, SignsState, lib
+from hapticd.system.repeated_lines import MAX_STATE_INTERVAL_S, Repeats
 
 PULSE_FORCE_SHARE: Final = 0.1
 """Force of a pulse by which the check pushes the handle, as a fraction of the device's largest force."""
@@ -27,11 +29,30 @@ _PROBLEM_TEXTS: Final[dict[SignsProblem, str]] = {
     SignsProblem.MOVING: "the handle does not come to rest",
     SignsProblem.CONTACT: "the handle touches an object of the scene",
 }
-SIGNS_REMEDY: Final = (
+_IDLE_TEXTS: Final[dict[HidMeaning, tuple[str, str]]] = {
+    HidMeaning.POWER: ("its actuators have no power", "plug the power supply in"),
+    HidMeaning.SAFETY: ("its safety switch is open", "hold the handle lightly"),
+    HidMeaning.ACTUATORS: ("its actuators are off", "switch the device's actuators on, or plug the device in again"),
+    HidMeaning.PAUSED: ("it is paused", "end the program that paused it"),
+    HidMeaning.RESET: ("it was reset", "wait until it is set up again"),
+}
+"""For each state in which a device exerts no force: what the device reports, and what the user should do."""
+STILL_ADVICE: Final = (
+    "let go of the handle, unless the device has a hand sensor (then hold it lightly), release its emergency stop, "
+    "switch it to a work mode with force feedback"
+)
+"""What the user should do if the handle does not move, and the device does not report why."""
+_REMEDY: Final = (
     "run `hapticd devices calibrate` to find device.hid.force_axes, or set device.hid.signs: trust to skip the check"
 )
 
 _log = logging.getLogger("hapticd")
+
+
+def idle_texts(idle: int) -> tuple[str, str]:
+    """Return why a device exerts no force, and what the user should do; `idle` is that of `SignsStatus`, not 0."""
+    causes, remedies = zip(*(texts for meaning, texts in _IDLE_TEXTS.items() if idle >> (meaning - 1) & 1), strict=True)
+    return f"the device exerts no force because {wording.listed(causes)}", wording.listed(remedies)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,13 +100,15 @@ class SignsStatus:
     state: SignsState
     problem: SignsProblem
     axis: str
+    idle: int = 0
+    """Why the device exerts no force, for the problem `IDLE`: bit (m - 1) for each HidMeaning m."""
 
     @classmethod
     def read(cls, word: int) -> SignsStatus:
         """Decode the state from the member `signs` of C's `struct hd_counters`."""
         problem = word >> lib.HD_SIGNS_PROBLEM_SHIFT & 0xFF
         axis = word >> lib.HD_SIGNS_AXIS_SHIFT & 0xFF
-        return cls(SignsState(word & 0xFF), SignsProblem(problem), "xy"[axis])
+        return cls(SignsState(word & 0xFF), SignsProblem(problem), "xy"[axis], word >> lib.HD_SIGNS_IDLE_SHIFT)
 
     @property
     def holds_back(self) -> bool:
@@ -95,6 +118,8 @@ class SignsStatus:
     @property
     def problem_text(self) -> str | None:
         """What is wrong with the signs, or what prevents the check; None without a problem."""
+        if self.problem == SignsProblem.IDLE:
+            return idle_texts(self.idle)[0]
         text = _PROBLEM_TEXTS.get(self.problem)
         return None if text is None else text.format(axis=self.axis, other="y" if self.axis == "x" else "x")
 
@@ -102,9 +127,17 @@ class SignsStatus:
     def advice(self) -> str:
         """What the user should do about the problem that the check found."""
         if self.state == SignsState.WRONG:
-            return SIGNS_REMEDY
+            return _REMEDY
+        if self.problem == SignsProblem.IDLE:
+            return idle_texts(self.idle)[1]
+        if self.problem == SignsProblem.STILL:
+            again = ", then turn forces on again" if self.state == SignsState.UNCLEAR else ""
+            return (
+                f"{STILL_ADVICE}{again}; if friction or a dead band takes {100 * PULSE_FORCE_SHARE:g} % of the largest "
+                "force, set device.hid.force_axes by hand, or device.hid.signs: trust to skip the check"
+            )
         if self.state == SignsState.UNCLEAR:
-            return f"let go of the handle and turn forces on again, or {SIGNS_REMEDY}"
+            return f"let go of the handle and turn forces on again, or {_REMEDY}"
         away = "move it away and " if self.problem == SignsProblem.CONTACT else ""
         return f"{away}let go of it"
 
@@ -128,15 +161,19 @@ class SignsLog:
 
     def __init__(self) -> None:
         self._last: SignsStatus | None = None
+        self._repeats = Repeats()
 
     def note(self, status: SignsStatus) -> None:
         """Log the state of the check of signs, if it differs from the state that was logged last."""
+        self._repeats.flush()
         line = status.line()
         if status == self._last or (line is None and status.state != SignsState.RIGHT):
             return
         self._last = status
         if line is None:
-            _log.info("signs of the device checked: forces move the handle the right way")
+            self._repeats.line("right", logging.INFO, "signs of the device are right: forces are on")
+        elif status.problem == SignsProblem.IDLE:
+            self._repeats.line("idle", logging.WARNING, f"forces are held back: {line}", MAX_STATE_INTERVAL_S)
         elif status.state == SignsState.WRONG:
             _log.error("signs of the device are wrong, forces stay off: %s", line)
         else:

@@ -276,7 +276,7 @@ def test_a_device_that_was_reset_is_set_up_again(world: World) -> None:
     connection = engine.connection
     assert connection is not None
     world.until(
-        lambda: connection.status()["states"] == {"actuators": True, "paused": False, "safety": False, "power": False}
+        lambda: connection.status()["states"] == {"actuators": True, "paused": False, "safety": True, "power": True}
     )
     assert connection.status()["connects"] == 1 and connection.status()["resets"] in (1, 2)
     # The device reports which effects play, so only the set-up sends directions.

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 import pytest
 
-from hapticd.base.core import CData, SignsProblem, SignsState, ffi, lib
+from hapticd.base.core import CData, HidMeaning, SignsProblem, SignsState, ffi, lib
 from hapticd.hid.signs import Check, SignsStatus
 
 RATE_HZ = 1000
@@ -184,7 +184,7 @@ def test_an_axis_without_force_may_move_as_it_likes() -> None:
 def test_a_handle_that_is_held_is_unclear_until_it_is_let_go() -> None:
     run = Run(Handle(held=True))
     found = {run.tick().line() for _ in range(1500)}
-    assert "the handle did not move when it was pushed along x: let go of it" in found
+    assert any(line and line.startswith("the handle did not move when it was pushed along x: let go") for line in found)
     status = run.end()
     assert (status.state, status.problem) == (SignsState.UNCLEAR, SignsProblem.STILL)
     pulses = len(run.handle.forces)
@@ -293,3 +293,118 @@ def test_a_device_has_one_number_as_often_as_it_comes() -> None:
     numbers = [check.of(identity, (True, False), 0.0) for identity in ("a", "b", "a")]
     assert [one and one.number for one in numbers] == [1, 2, 1]
     assert check.of("c", (False, False), 0.0) is None
+
+
+def idle_for(*meanings: HidMeaning) -> int:
+    return sum(1 << (meaning - 1) for meaning in meanings)
+
+
+@pytest.mark.parametrize(
+    ("meanings", "line"),
+    [
+        ([HidMeaning.SAFETY], "its safety switch is open: hold the handle lightly"),
+        ([HidMeaning.ACTUATORS], "its actuators are off: switch the device's actuators on"),
+        ([HidMeaning.POWER], "its actuators have no power: plug the power supply in"),
+        ([HidMeaning.PAUSED], "it is paused: end the program that paused it"),
+        ([HidMeaning.RESET], "it was reset: wait until it is set up again"),
+        ([HidMeaning.SAFETY, HidMeaning.POWER], "its actuators have no power and its safety switch is open: plug the "),
+    ],
+)
+def test_the_check_waits_while_the_device_reports_that_it_exerts_no_force(
+    meanings: list[HidMeaning], line: str
+) -> None:
+    run = Run(Handle(held=True))
+    run.input.idle = idle_for(*meanings)
+    found = {run.tick() for _ in range(20 * RATE_HZ)}
+    assert {(status.state, status.problem) for status in found} == {(SignsState.WAITING, SignsProblem.IDLE)}
+    (said,) = {status.line() for status in found}
+    assert said is not None and said.startswith(f"the device exerts no force because {line}")
+    run.handle.held, run.input.idle = False, 0
+    began = run.ticks
+    assert run.tick().state == SignsState.CHECKING
+    assert run.end().state == SignsState.RIGHT
+    assert run.ticks - began < 4 * RATE_HZ
+
+
+def test_a_state_that_changes_during_a_push_discards_the_push() -> None:
+    """A device that pushes the wrong way, but only while its safety switch is closed."""
+    run = Run(Handle(turn=((-1.0, 0.0), (0.0, -1.0))))
+    for tick in range(30 * RATE_HZ):
+        run.input.idle = idle_for(HidMeaning.SAFETY) if tick // 130 % 2 else 0
+        run.handle.held = bool(run.input.idle)
+        status = run.tick()
+        assert status.state in (SignsState.CHECKING, SignsState.WAITING), status
+        if tick % 130 == 0:
+            assert run.force[0] == 0.0
+    run.input.idle, run.handle.held = 0, False
+    assert (run.end().state, status.axis) == (SignsState.WRONG, "x")
+
+
+def test_the_check_goes_on_with_the_axis_where_it_waited() -> None:
+    run = Run(Handle())
+    while not run.force[1]:
+        run.tick()
+    run.input.idle, run.handle.held = idle_for(HidMeaning.POWER), True
+    for _ in range(3 * RATE_HZ):
+        assert run.tick().problem == SignsProblem.IDLE
+    run.input.idle, run.handle.held = 0, False
+    pushed = len(run.handle.forces)
+    assert run.end().state == SignsState.RIGHT
+    assert not np.array(run.handle.forces)[pushed:, 0].any()
+
+
+def test_rounds_before_the_wait_do_not_count() -> None:
+    """Four of five rounds move nothing, before the device reports why."""
+    held = Run(Handle(held=True))
+    assert held.end().state == SignsState.UNCLEAR
+    run = Run(Handle(held=True))
+    for _ in range(2):
+        for _ in range(held.ticks - 100):
+            assert run.tick().state == SignsState.CHECKING
+        run.input.idle = idle_for(HidMeaning.SAFETY)
+        assert run.tick().state == SignsState.WAITING
+        run.input.idle = 0
+    run.handle.held = False
+    assert run.end().state == SignsState.RIGHT
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("meanings", [[HidMeaning.SAFETY], [HidMeaning.SAFETY, HidMeaning.POWER, HidMeaning.ACTUATORS]])
+def test_a_handle_that_moves_nevertheless_proves_the_report_wrong(way: float, meanings: list[HidMeaning]) -> None:
+    """Some firmware never sets these bits. The first axis proves it; the second one is not delayed."""
+    run = Run(Handle(turn=((1.0, 0.0), (0.0, way))))
+    run.input.idle = idle_for(*meanings)
+    states = [run.tick().state]
+    while run.force[1] == 0.0:
+        states.append(run.tick().state)
+    assert states[0] == SignsState.WAITING and states[-1] == SignsState.CHECKING
+    status = run.end()
+    assert status.state == (SignsState.RIGHT if way > 0 else SignsState.WRONG)
+    assert run.ticks < 8 * RATE_HZ
+    # From then on the bits mean nothing, whatever they are.
+    for idle in (0, run.input.idle):
+        run.input.idle = idle
+        assert run.tick().state == status.state
+
+
+def test_after_the_check_the_scene_waits_for_a_device_that_exerts_no_force() -> None:
+    run = Run(Handle())
+    assert run.end().state == SignsState.RIGHT
+    run.input.idle = idle_for(HidMeaning.SAFETY)
+    status = run.tick()
+    assert (status.state, status.problem, status.holds_back) == (SignsState.WAITING, SignsProblem.IDLE, True)
+    assert tuple(run.force) == (0.0, 0.0)
+    run.input.enabled = 0
+    assert run.tick().state == SignsState.RIGHT
+    run.input.enabled = 1
+    assert run.tick().state == SignsState.WAITING
+    run.input.idle = 0
+    assert run.tick().state == SignsState.RIGHT
+
+
+def test_a_handle_that_does_not_move_is_told_every_reason_in_one_line() -> None:
+    status = Run(Handle(held=True)).end()
+    line = status.line()
+    assert line is not None and "\n" not in line
+    for reason in ("let go", "hand sensor", "emergency stop", "work mode", "dead band takes 10 %", "force_axes"):
+        assert reason in line

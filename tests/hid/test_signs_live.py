@@ -99,6 +99,8 @@ class Flashed(Sprung):
     """A simulated firmware that shares no code with the driver."""
 
     firmware: Firmware
+    rest = 0.0
+    """Where the handle is without a force along y, as a part of the half travel."""
 
     def flash(self, descriptor: bytes, variant: Variant) -> Firmware:
         self.firmware = Firmware(descriptor, variant, clock=time.monotonic)
@@ -114,7 +116,7 @@ class Flashed(Sprung):
             if self.engine is not None:
                 self.engine.beat()
             x, y = self.firmware.force()
-            self.firmware.position(self.gives * x, self.gives * y)
+            self.firmware.position(self.gives * x, self.rest + self.gives * y)
 
     def close(self) -> None:
         super().close()
@@ -359,3 +361,91 @@ def test_when_signs_are_checked_or_trusted() -> None:
     assert load_config({"device": {"hid": hid.to_dict()}}).device.hid == hid
     hid = load_config({"device": {"kind": "hid"}}).device.hid
     assert load_config({"device": {"hid": hid.to_dict()}}).device.hid.signs == "check"
+
+
+SENSOR = Variant(hand_sensor=True)
+
+
+@pytest.mark.slow
+def test_the_check_and_the_scene_wait_for_a_hand_on_the_sensor(
+    flashed: Flashed, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "hapticd")
+    firmware = flashed.flash(descriptors.SIDEWINDER_FF2, SENSOR)
+    engine = flashed.start()
+    methods = Methods(engine)
+    advice = "the device exerts no force because its safety switch is open: hold the handle lightly"
+    signs = methods.call("set_forces", {"enabled": True})["signs"]  # type: ignore[call-overload,index]
+    assert (signs["state"], signs["problem"], signs["advice"]) == ("waiting", "idle", advice)
+    with pytest.raises(MethodError, match=f"forces are held back: {advice}"):
+        methods.call("play", {"material": "wood", "amplitude_m_per_s2": 1.0, "direction": [0, 1]})
+    ticks = engine.counters().ticks + 6000  # five rounds of pulses take less
+    flashed.until(lambda: (flashed.collect(), engine.counters().ticks > ticks)[1])
+    assert engine.counters().faults == Fault(0) and signs_of(engine)["advice"] == advice
+    firmware.becomes(hand=True)
+    flashed.comes_to(SignsState.RIGHT)
+    assert caplog.messages.count(f"forces are held back: {advice}") == 1
+    # In a wall the hand leaves the sensor, and comes back.
+    flashed.gives = 0.0
+    flashed.rest = -0.024 / TRAVEL_M
+    wall_n = 0.004 * STIFFNESS
+    flashed.until(lambda: (flashed.collect(), flashed.samples["force_n"][-1, 1] > 0.99 * wall_n)[1])
+    firmware.becomes(hand=False)
+    flashed.until(lambda: (flashed.collect(), not flashed.samples["force_n"][-1].any())[1])
+    assert signs_of(engine)["advice"] == advice and engine.counters().faults == Fault(0)
+    left = len(flashed.samples)
+    firmware.becomes(hand=True)
+    flashed.until(lambda: (flashed.collect(), flashed.samples["force_n"][-1, 1] > 0.99 * wall_n)[1])
+    risen = flashed.samples[left:]
+    assert np.diff(risen["force_n"][:, 1]).max() < 0.2 * wall_n, "it fades in"
+    assert signs_of(engine)["state"] == "right"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "variant", [Variant(ready="never"), replace(SENSOR, ready="never"), replace(SENSOR, ready="turned")]
+)
+def test_a_safety_switch_that_is_reported_wrongly_does_not_prevent_the_check(
+    flashed: Flashed, variant: Variant
+) -> None:
+    firmware = flashed.flash(descriptors.SIDEWINDER_FF2, variant)
+    engine = flashed.start()
+    firmware.becomes(hand=True)
+    engine.set_forces(True)
+    flashed.comes_to(SignsState.RIGHT)
+    firmware.becomes(hand=False)
+    firmware.becomes(hand=True)
+    settled(flashed)
+    assert engine.counters().signs.state == SignsState.RIGHT
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("variant", "stopped"), [(Variant(dead_band=0.15), False), (Variant(), True)])
+def test_a_device_that_does_not_report_why_it_does_not_move(flashed: Flashed, variant: Variant, stopped: bool) -> None:
+    firmware = flashed.flash(descriptors.SIDEWINDER_FF2, variant)
+    firmware.stopped = stopped
+    engine = flashed.start()
+    engine.set_forces(True)
+    flashed.until(lambda: engine.counters().faults == Fault.SIGNS)
+    advice = signs_of(engine)["advice"]
+    assert advice.startswith("the handle did not move when it was pushed along x: let go of the handle, unless ")
+    for reason in ("hand sensor", "emergency stop", "work mode", "dead band takes 10 %"):
+        assert reason in advice
+    firmware.stopped = False
+    if stopped:
+        engine.set_forces(True)
+        flashed.comes_to(SignsState.RIGHT)
+
+
+@pytest.mark.slow
+def test_actuators_that_another_program_switches_off_are_no_fault_of_the_check(flashed: Flashed) -> None:
+    """The daemon sets the device up again; pulses that are not sent meanwhile do not count."""
+    firmware = flashed.flash(descriptors.SIDEWINDER_FF2, Variant())
+    engine = flashed.start()
+    engine.set_forces(True)
+    for _ in range(3):
+        firmware.wait(lambda: firmware.force() != (0.0, 0.0))
+        firmware.becomes(enabled=False)
+        flashed.until(lambda: firmware.enabled)
+    flashed.comes_to(SignsState.RIGHT, SignsState.UNCLEAR)
+    assert engine.counters().signs.state == SignsState.RIGHT

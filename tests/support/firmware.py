@@ -80,6 +80,12 @@ class Variant:
     gain_at_start: float = 1.0
     reset_disables: bool = False
     """A reset leaves the actuators off; by the specification it leaves them on."""
+    hand_sensor: bool = False
+    """It exerts no force while no hand is on the handle."""
+    ready: str = "true"
+    """Safety Switch and Actuator Power in PID State: `true`; `never`: always 0; `turned`: 0 for 1 and 1 for 0."""
+    dead_band: float = 0.0
+    """A smaller part of the full force exerts nothing, a larger one is reduced by it."""
 
 
 FINO: Final = Variant(pool_frees=True, takes_unknown=True, angle_always=True, tells="nothing", reset_disables=True)
@@ -119,6 +125,8 @@ class Firmware(Node):
         """Time, kind (output, set, get) and bytes, the id first; of a get what was answered."""
         self.said: list[str] = []
         self.faults: list[str] = []
+        self.hand, self.power, self.stopped = not variant.hand_sensor, True, False
+        """Whether a hand is on the handle, the motors have power, and the emergency stop is pressed."""
         self._now = 0.0
         self._pools = 0
         self._open("firmware")
@@ -163,7 +171,8 @@ class Firmware(Node):
         with self.changed:
             t_s = self.now if t_s is None else t_s
             at = next((moment for moment in reversed(self._moments) if moment.t_s <= t_s), self._moments[0])
-            if not at.enabled or at.paused_s is not None:
+            deserted = self.variant.hand_sensor and not self.hand
+            if not at.enabled or at.paused_s is not None or deserted or self.stopped or not self.power:
                 return 0.0, 0.0
             total = [0.0, 0.0]
             for effect in at.effects.values():
@@ -171,7 +180,8 @@ class Firmware(Node):
                 if within is not None:
                     for axis, part in enumerate(self._shown(effect, within, t_s)):
                         total[axis] += part * effect.gain * at.gain
-            x, y = (min(max(value, -1.0), 1.0) * sign for value, sign in zip(total, self.variant.signs, strict=True))
+            felt = (math.copysign(max(abs(value) - self.variant.dead_band, 0.0), value) for value in total)
+            x, y = (min(max(value, -1.0), 1.0) * sign for value, sign in zip(felt, self.variant.signs, strict=True))
             return (x if "x" in self.variant.axes else 0.0), (y if "y" in self.variant.axes else 0.0)
 
     def _shown(self, effect: Effect, within_s: float, t_s: float) -> tuple[float, float]:
@@ -509,7 +519,12 @@ class Firmware(Node):
         form = self.forms.get("state")
         if form is None or self.variant.tells == "nothing":
             return
-        flags = {"enabled": self.enabled, "paused": self.paused_s is not None, "safety_switch": 1, "power": 1}
+        ready = {"safety_switch": self.hand, "power": self.power}
+        told = {
+            name: 0 if self.variant.ready == "never" else on == (self.variant.ready == "true")
+            for name, on in ready.items()
+        }
+        flags = {"enabled": self.enabled, "paused": self.paused_s is not None, **told}
         playing = index in self.effects and self.effects[index].started_s is not None
         self._send(form.write(**{name: int(on) for name, on in flags.items()}, index=index, playing=int(playing)))
 
@@ -531,6 +546,14 @@ class Firmware(Node):
             self._send(bytes([report, *data]))
 
     # ---- What a test does --------------------------------------------------------------------------------------------
+
+    def becomes(self, **states: bool) -> None:
+        """Sets `hand`, `power` or `enabled`, and tells it."""
+        with self.changed:
+            for name, state in states.items():
+                setattr(self, name, state)
+            self._keep()
+            self._tell(0)
 
     def stranger(
         self, *, turns: float = 0.0, magnitude: float = 0.0, duration_ms: int = 1000, resets: bool = True

@@ -218,6 +218,9 @@ class FakePid(Node):
             data = bytearray(state.report_bytes)
             data[0] = state.report_id
             _put(data, state.actuators_enabled, int(self.enabled))
+            for ready in (state.safety_switch, state.actuator_power):
+                if ready is not None:
+                    _put(data, ready, 1)
             place = state.effect_index
             if place is not None and state.effect_playing is not None and index <= place.logical_max:
                 _put(data, place, index)

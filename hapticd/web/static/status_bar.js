@@ -164,7 +164,7 @@ function stateOf(bar) {
   }
   const checking = model.state?.flag_names.includes("checking");
   return {
-    on: checking ? ["Checking directions", "warn"] : ["Forces on", "ok"],
+    on: checking ? ["Forces held back", "warn"] : ["Forces on", "ok"],
     off: ["Forces off", "warn"],
     faulted: ["Forces off: fault", "bad"],
     unknown: ["Connecting", "plain"],
@@ -184,7 +184,7 @@ function draw(bar) {
     "this page": "held by this page",
     another: "held by another page or program",
   }[safety.holder] ?? "";
-  const live = ["Forces on", "Forces off", "Forces off: fault", "Checking directions"].includes(word);
+  const live = ["Forces on", "Forces off", "Forces off: fault", "Forces held back"].includes(word);
   part("forces-on").hidden = !live || safety.holds || (safety.forces === "on" && safety.simulated);
   part("forces-on").disabled = safety.holder === "another";
   part("forces-on").textContent = safety.forces === "faulted" ? "Clear and turn forces on" : "Turn forces on";
@@ -206,6 +206,10 @@ function drawAlerts(bar) {
   } else if (link.connected) {
     for (const fault of safety.faults) {
       lines.push(["bad", faultText(fault, model)]);
+    }
+    const signs = model.status.connection?.signs;
+    if (safety.forces === "on" && (signs?.state === "checking" || signs?.state === "waiting")) {
+      lines.push(["warn", signs.advice ?? "The joystick's directions are checked: let go of the handle."]);
     }
     if (!safety.simulated && safety.forces === "off" && model.status.device !== undefined) {
       const limit = model.config.device?.max_force_n;
