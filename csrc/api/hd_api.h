@@ -260,7 +260,7 @@ enum hd_flag {
     HD_FLAG_GLITCH = 128,     /* the position jumped; contacts were synchronised with it again */
     HD_FLAG_REPEATED = 256,   /* no new sample came from the device */
     HD_FLAG_RESTRAINED = 512, /* the passivity controller changed the contact force */
-    HD_FLAG_CHECKING = 1024,  /* the device's signs are being checked; the force is that of the check alone */
+    HD_FLAG_CHECKING = 1024,  /* the signs are checked, or the device exerts no force; the force is that of the check */
     HD_FLAG_STREAMED = 2048   /* a streamed force is part of the contact force, or fading to zero */
 };
 

@@ -515,7 +515,8 @@ class Methods:
                 "a streamed force has no effect while forces are off: `hapticd force on` or set_forces turns them on"
             )
             return {"forces": "off", "warning": warning}
-        return {"forces": "on"}
+        held_back = self._held_back()
+        return {"forces": "on", "warning": held_back} if held_back else {"forces": "on"}
 
     def _target(self, id: str) -> Target | None:
         item = self._engine.scene.objects.get(id)
@@ -534,9 +535,15 @@ class Methods:
             )
         if not counters.forces_on:
             raise MethodError(Code.FORCES_OFF, "forces are off: `hapticd force on` or set_forces turns them on")
-        if counters.signs.holds_back:
-            waits = counters.signs.line() or "they begin when the signs of the device are checked"
-            raise MethodError(Code.FORCES_OFF, f"forces are held back: {waits}")
+        held_back = self._held_back()
+        if held_back:
+            raise MethodError(Code.FORCES_OFF, held_back)
+
+    def _held_back(self) -> str | None:
+        """Return why the forces, which are on, are not displayed yet; None if they are displayed."""
+        signs = self._engine.counters().signs
+        waits = signs.line() or "they begin when the signs of the device are checked"
+        return f"forces are held back: {waits}" if signs.holds_back else None
 
     def _off_because(self, faults: Fault) -> str:
         signs = self._engine.counters().signs

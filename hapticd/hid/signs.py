@@ -42,7 +42,7 @@ STILL_ADVICE: Final = (
     "switch it to a work mode with force feedback"
 )
 """What the user should do if the handle does not move, and the device does not report why."""
-_REMEDY: Final = (
+SIGNS_REMEDY: Final = (
     "run `hapticd devices calibrate` to find device.hid.force_axes, or set device.hid.signs: trust to skip the check"
 )
 
@@ -127,7 +127,7 @@ class SignsStatus:
     def advice(self) -> str:
         """What the user should do about the problem that the check found."""
         if self.state == SignsState.WRONG:
-            return _REMEDY
+            return SIGNS_REMEDY
         if self.problem == SignsProblem.IDLE:
             return idle_texts(self.idle)[1]
         if self.problem == SignsProblem.STILL:
@@ -137,7 +137,7 @@ class SignsStatus:
                 "force, set device.hid.force_axes by hand, or device.hid.signs: trust to skip the check"
             )
         if self.state == SignsState.UNCLEAR:
-            return f"let go of the handle and turn forces on again, or {_REMEDY}"
+            return f"let go of the handle and turn forces on again, or {SIGNS_REMEDY}"
         away = "move it away and " if self.problem == SignsProblem.CONTACT else ""
         return f"{away}let go of it"
 

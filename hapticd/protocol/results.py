@@ -149,7 +149,7 @@ class SignsCheck(TypedDict):
 class ForcesResult(TickResult):
     """The tick of `set_forces`, and the state of the forces.
 
-    `signs` is present while the daemon checks the directions of the device's forces, before it displays the scene.
+    `signs` is present while the daemon checks the directions of the device's forces, or the device exerts no force.
     """
 
     forces: Literal["on", "off", "faulted"]
@@ -157,7 +157,7 @@ class ForcesResult(TickResult):
 
 
 class StreamedForceResult(TypedDict):
-    """The state of the forces and, unless they are on, the reason why the streamed force is not displayed."""
+    """The state of the forces and, if the streamed force is not displayed, the reason."""
 
     forces: Literal["on", "off", "faulted"]
     warning: NotRequired[str]
