@@ -13,7 +13,7 @@ from typing import Any, cast
 import msgpack
 import pytest
 
-from hapticd.base.core import Fault, SignsProblem, SignsState
+from hapticd.base.core import Fault, HidMeaning, SignsProblem, SignsState
 from hapticd.base.errors import HapticdError, InvalidError, Problem, in_order
 from hapticd.cli import main
 from hapticd.cli.common import print_result
@@ -102,7 +102,12 @@ def test_the_status_counts_the_messages_of_streams() -> None:
     assert "target stream" not in shown
 
 
-def with_signs(forces: str, word: SignsState, problem: SignsProblem = SignsProblem.FINE) -> list[tuple[str, str]]:
+POWERLESS = 1 << (HidMeaning.POWER - 1)
+
+
+def with_signs(
+    forces: str, word: SignsState, problem: SignsProblem = SignsProblem.FINE, idle: int = 0
+) -> list[tuple[str, str]]:
     connection = {
         "name": None,
         "state": "connected",
@@ -112,7 +117,7 @@ def with_signs(forces: str, word: SignsState, problem: SignsProblem = SignsProbl
         "force_hz": None,
         "states": {},
         "resets": 0,
-        "signs": SignsStatus(word, problem, "x").to_dict(),
+        "signs": SignsStatus(word, problem, "x", idle).to_dict(),
     }
     faults = ["signs"] if forces == "faulted" else []
     return list(lines(status(forces=forces, faults=faults, connection=connection)))
@@ -124,6 +129,10 @@ def test_the_status_has_the_check_of_signs_and_the_remedy() -> None:
     assert ("signs", "checking") in shown
     shown = with_signs("on", SignsState.WAITING, SignsProblem.CONTACT)
     advice = "the handle touches an object of the scene: move it away and let go of it"
+    assert ("signs", f"waiting: {advice}") in shown
+    shown = with_signs("on", SignsState.WAITING, SignsProblem.IDLE, POWERLESS)
+    assert shown[0] == ("forces", "on, but held back while the device exerts none")
+    advice = "the device exerts no force because its actuators have no power: plug the power supply in"
     assert ("signs", f"waiting: {advice}") in shown
     shown = with_signs("on", SignsState.RIGHT)
     assert shown[0] == ("forces", "on") and ("signs", "right") in shown
@@ -141,9 +150,11 @@ def test_the_status_has_the_check_of_signs_and_the_remedy() -> None:
 
 def test_force_on_reports_a_pending_check_of_signs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     signs = SignsStatus(SignsState.CHECKING, SignsProblem.FINE, "x").to_dict()
+    powerless = SignsStatus(SignsState.WAITING, SignsProblem.IDLE, "x", POWERLESS).to_dict()
     wrong = SignsStatus(SignsState.WRONG, SignsProblem.REVERSED, "x").line()
     answers: list[Any] = [
         {"result": {"forces": "on", "tick": 1, "signs": signs}},
+        {"result": {"forces": "on", "tick": 1, "signs": powerless}},
         {"error": {"code": -32003, "message": f"forces are off because {wrong}", "data": {"faults": ["signs"]}}},
     ]
 
@@ -153,6 +164,11 @@ def test_force_on_reports_a_pending_check_of_signs(tmp_path: Path, capsys: pytes
     with fake_daemon(tmp_path, answer):
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 0
         assert capsys.readouterr().out == ("forces on, once the check of signs has passed: let go of the handle\n")
+        assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 0
+        assert capsys.readouterr().out == (
+            "forces on, but held back: the device exerts no force because its actuators have no power: "
+            "plug the power supply in\n"
+        )
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 1
         assert capsys.readouterr().err == (
             "hapticd: forces are off because a force along x moves the handle the other way: "

@@ -11,11 +11,15 @@ from typing import Any
 import pytest
 
 from hapticd.config.hid import Hid
+from hapticd.hid.descriptor.layout import layout_of
+from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.drivers.vendor import VendorDriver
 from hapticd.hid.plan import DeviceError
 from hapticd.hid.sign_calibration import MAX_FORCE_SHARE, Calibration, calibrate
 from tests.hid.test_vendor import DESCRIPTOR, REPORT, Recorder
+from tests.support import firmware_descriptors as descriptors
+from tests.support.firmware import Firmware, Variant
 from tests.support.hid_descriptors import Joystick
 from tests.support.hid_device import FakePid
 
@@ -79,6 +83,21 @@ def test_a_push_ends_once_the_handle_has_moved() -> None:
     bench.calibrate()
     bench.stick.close()
     assert bench.largest_m < 0.3 * TRAVEL_M
+
+
+def test_a_device_that_exerts_no_force_says_why() -> None:
+    stick = Firmware(descriptors.SIDEWINDER_FF2, Variant(hand_sensor=True))
+    hid = Hid(travel_m=TRAVEL_M, full_scale_force_n=8.0)
+    driver = PidDriver(layout_of(parse(stick.descriptor)), hid)
+
+    def pause(duration_s: float) -> None:
+        stick.now += duration_s
+        stick.position(0.0, 0.0)
+
+    with stick, pytest.raises(DeviceError) as caught:
+        calibrate(stick.device, driver, hid, 0.4, now=lambda: stick.now, pause=pause)
+    assert "the device exerts no force because its safety switch is open: hold the handle lightly" in str(caught.value)
+    assert "release" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

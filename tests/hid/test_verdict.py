@@ -25,11 +25,18 @@ from hapticd.hid.replay import Recording, save
 from hapticd.hid.sources import open_hid
 from hapticd.hid.verdict import verdict_of
 from tests.support.hid_descriptors import (
+    CONSTANT,
+    DATA_ARRAY,
     DESKTOP,
+    INPUT,
     ORDINAL,
+    OUTPUT,
+    PID,
     Joystick,
+    data,
     logical,
     physical,
+    size,
     unit,
     usage,
     usage32,
@@ -71,6 +78,24 @@ def with_id(report: int, number: int) -> bytes:
     at = STICK.index(start) + len(start)
     return STICK[:at] + bytes([number]) + STICK[at + 1 :]
 
+
+ENABLE = usage_page(PID) + usage(0x56) + logical(0, 1) + physical(0, 1) + size(1) + data(OUTPUT)
+X_ENABLE = usage_page(DESKTOP) + usage(0x30) + logical(0, 1) + size(1) + data(OUTPUT)
+
+
+def with_enable(items: bytes, descriptor: bytes = STICK) -> bytes:
+    """Return a descriptor with another Direction Enable; the padding is not adapted."""
+    return instead(ENABLE, usage_page(PID) + usage(0x56) + items, descriptor)
+
+
+def with_axes_enable(items: bytes, descriptor: bytes = STICK) -> bytes:
+    """Return a descriptor with another Axes Enable."""
+    both = usage_page(DESKTOP) + usage(0x30, 0x31) + logical(0, 1) + size(1, 2) + data(OUTPUT)
+    return instead(both, items, descriptor)
+
+
+NO_ENABLE = bytes(Joystick(without=frozenset({0x56})))
+UNSIGNED = bytes(Joystick(is_magnitude_signed=False))
 
 # The expected reason, or None; the descriptor; and device.hid.
 CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
@@ -184,6 +209,71 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
         instead(
             logical(0, 255) + physical(0, 36000), logical(0, 1) + physical(0, 36000), bytes(Joystick(force_axes=()))
         ),
+        {},
+    ),
+    "Direction Enable of 0 to 0 in 2 bits": (
+        "Direction Enable that can be set (bit 82 of output report 1 has 2 bits and the range 0 to 0)",
+        with_enable(logical(0, 0) + size(2) + data(OUTPUT)),
+        {},
+    ),
+    "Direction Enable of 0 to 0 in one bit": (None, with_enable(logical(0, 0) + size(1) + data(OUTPUT)), {}),
+    "Direction Enable beyond its bits": (
+        "Direction Enable that can be set (bit 82 of output report 1 has 2 bits and the range 8 to 9)",
+        with_enable(logical(8, 9) + size(2) + data(OUTPUT)),
+        {},
+    ),
+    "Direction Enable of 40 bits": (
+        "Direction Enable that can be set (bit 82 of output report 1 has 40 bits and the range 0 to 1)",
+        with_enable(logical(0, 1) + size(40) + data(OUTPUT)),
+        {},
+    ),
+    "Direction Enable as an array": (
+        "Direction Enable that can be set (bit 82 of output report 1 is an array)",
+        with_enable(logical(0, 1) + size(1) + data(OUTPUT, DATA_ARRAY)),
+        {},
+    ),
+    "Direction Enable as an input": (
+        "Direction Enable that can be set (it is in input report 1)",
+        with_enable(logical(0, 1) + size(1) + data(INPUT)),
+        {},
+    ),
+    "constant Direction Enable, and Axes Enable": (
+        None,
+        with_enable(logical(0, 1) + size(1) + data(OUTPUT, CONSTANT)),
+        {},
+    ),
+    "constant Direction Enable, and no Axes Enable": (
+        "Direction Enable that can be set (bit 80 of output report 1 is constant)",
+        with_enable(logical(0, 1) + size(1) + data(OUTPUT, CONSTANT), bytes(Joystick(force_axes=()))),
+        {},
+    ),
+    "constant Direction Enable, and magnitudes without a sign": (
+        "Direction Enable that can be set (bit 82 of output report 1 is constant)",
+        with_enable(logical(0, 1) + size(1) + data(OUTPUT, CONSTANT), UNSIGNED),
+        {},
+    ),
+    "constant Axes Enable, and Direction Enable": (
+        None,
+        with_axes_enable(usage_page(DESKTOP) + usage(0x30, 0x31) + logical(0, 1) + size(1, 2) + data(OUTPUT, CONSTANT)),
+        {},
+    ),
+    "constant Axes Enable, and no Direction Enable": (
+        "Axes Enable X that can be set (bit 80 of output report 1 is constant), no Set Effect: Axes Enable Y that can",
+        with_axes_enable(
+            usage_page(DESKTOP) + usage(0x30, 0x31) + logical(0, 1) + size(1, 2) + data(OUTPUT, CONSTANT), NO_ENABLE
+        ),
+        {},
+    ),
+    "Axes Enable as an array": (
+        "Axes Enable X that can be set (bit 80 of output report 1 is an array)",
+        with_axes_enable(
+            usage_page(DESKTOP) + usage(0x30, 0x31) + logical(0, 1) + size(1, 2) + data(OUTPUT, DATA_ARRAY), NO_ENABLE
+        ),
+        {},
+    ),
+    "one constant axis in Axes Enable": (
+        "Axes Enable Y that can be set (bit 81 of output report 1 is constant)",
+        with_axes_enable(X_ENABLE + usage(0x31) + data(OUTPUT, CONSTANT)),
         {},
     ),
     "no constant force": (

@@ -134,8 +134,12 @@ def test_it_shows_what_matters() -> None:
 
 def test_forces_that_are_held_back_are_not_shown_as_on() -> None:
     shown = view()
-    for state_of_signs, wanted in (("checking", "signs are checked"), ("right", "forces on")):
-        shown.feed("status", status(connection={"signs": {"state": state_of_signs}}))
+    for state_of_signs, problem, wanted in (
+        ("checking", None, "signs are checked"),
+        ("waiting", "idle", "device exerts no force"),
+        ("right", None, "forces on"),
+    ):
+        shown.feed("status", status(connection={"signs": {"state": state_of_signs, "problem": problem}}))
         assert wanted in drawn(shown)[0]
 
 

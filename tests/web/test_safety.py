@@ -111,6 +111,21 @@ def test_after_a_stop_a_press_on_the_scene_does_not_turn_forces_on(held: Page) -
     assert held.evaluate("() => hapticd.safety.holder") == "this page"
 
 
+SHOW_SIGNS = """(signs) => {
+  hapticd.model.status = { ...hapticd.model.status, connection: { signs } };
+  hapticd.safety.dispatchEvent(new Event("change"));
+  return document.querySelector("#alerts").textContent;
+}"""
+
+
+def test_forces_that_are_held_back_say_what_the_person_is_to_do(page: Page) -> None:
+    page.wait_for_function(ON)
+    advice = "the device exerts no force because its safety switch is open: hold the handle lightly"
+    assert page.evaluate(SHOW_SIGNS, {"state": "waiting", "advice": advice}) == advice
+    assert "let go of the handle" in page.evaluate(SHOW_SIGNS, {"state": "checking", "advice": None})
+    assert page.evaluate(SHOW_SIGNS, {"state": "right", "advice": None}) == ""
+
+
 def test_a_tab_that_is_closed_lets_the_force_fade_within_the_lease(held: Page, pages: Pages) -> None:
     watching = pages.open()
     watching.wait_for_function("() => hapticd.safety.holder === 'another'")

@@ -171,6 +171,16 @@ def _is_fixed(field: ReportField) -> bool:
     return field.is_constant and field.kind == ReportKind.OUTPUT
 
 
+def _flag_text(field: ReportField, report: tuple[ReportKind, int]) -> str:
+    """Return where a flag is that cannot be set in a report, which is given by kind and id, and why not."""
+    if (field.kind, field.report_id) != report:
+        return f"it is in {field.kind} report {field.report_id}"
+    why = "is constant" if field.is_constant else "is an array"
+    if field.is_variable and not field.is_constant:
+        why = f"has {field.bit_size} bits and the range {field.logical_min} to {field.logical_max}"
+    return f"bit {field.bit_offset} of output report {field.report_id} {why}"
+
+
 @dataclass(frozen=True, slots=True)
 class Number:
     """Rule that finds a number: the first usable field with this usage. A usage without a page is on the PID page."""
@@ -551,6 +561,8 @@ class _LayoutFinder:
             self._missing.append("Effect Block Index")
         if effect is not None and force is not None and not force.magnitude.is_signed and not effect.direction:
             self._missing.append("Set Effect: Direction")
+        if effect is not None:
+            self._missing += self._unwritable_flags(effect, force is None or force.magnitude.is_signed)
         found |= {name: self._report(at) for name, at in _PID_REPORTS.items() if not at.is_needed}
         missing, problems = tuple(self._missing), tuple(dict.fromkeys(self._problems))
         return Layout(missing=missing, problems=problems, input=axes, effect_indices=indices, **found)
@@ -569,6 +581,26 @@ class _LayoutFinder:
         if rule.is_needed:
             self._missing += lacking or [rule.name]
         return None
+
+    def _unwritable_flags(self, effect: SetEffect, is_signed: bool) -> Iterator[str]:
+        """Yield the flags of a direction that Set Effect has, but that cannot be set although a force needs them.
+
+        With Direction Enable, Axes Enable does not matter. Without it, the axes of a force are enabled, and magnitudes
+        must be signed: firmware of the Arduino family declares Direction Enable as constant. `is_signed`: they are.
+        """
+        fields, own = self._within[PID_PAGE | 0x21], (ReportKind.OUTPUT, effect.report_id)
+        groups = {at.number for at, field in fields if (field.kind, field.report_id) == own}
+        inside = [field for at, field in fields if at.number in groups]
+        has_enable = effect.direction_enable is not None and effect.direction_enable.counts_when_on() is not None
+        axes = effect.axes_enable.keys()
+        for field in () if has_enable else inside:
+            is_needed = not axes or not is_signed or not _is_fixed(field)
+            if is_needed and field.index_of(PID_PAGE | 0x56) is not None:
+                yield f"Set Effect: Direction Enable that can be set ({_flag_text(field, own)})"
+        for name, usage in () if {"x", "y"} <= axes or (has_enable and not axes) else AXIS_USAGES.items():
+            for field in () if name in axes else inside:
+                if field.within(PID_PAGE | 0x55) and field.index_of(DESKTOP_PAGE | usage) is not None:
+                    yield f"Set Effect: Axes Enable {name.upper()} that can be set ({_flag_text(field, own)})"
 
     def _groups(self, rule: _ReportRule) -> list[Group]:
         """Return the groups that may hold a report, those in the outermost collection of Set Constant Force first."""
