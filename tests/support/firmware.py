@@ -125,8 +125,10 @@ class Firmware(Node):
         """Time, kind (output, set, get) and bytes, the id first; of a get what was answered."""
         self.said: list[str] = []
         self.faults: list[str] = []
-        self.hand, self.power, self.stopped = not variant.hand_sensor, True, False
-        """Whether a hand is on the handle, the motors have power, and the emergency stop is pressed."""
+        self.hand, self.power = not variant.hand_sensor, True
+        """Whether a hand is on the handle, and the motors have power."""
+        self.stopped = self.locked = False
+        """Whether the emergency stop is pressed, and whether the device refuses to enable its actuators."""
         self._now = 0.0
         self._pools = 0
         self._open("firmware")
@@ -435,12 +437,12 @@ class Firmware(Node):
     def _control(self, command: str) -> None:
         match command:
             case "enable_actuators" | "disable_actuators":
-                self.enabled = command == "enable_actuators"
+                self.enabled = command == "enable_actuators" and not self.locked
             case "stop_all_effects":
                 self._stop_all()
             case "device_reset":
                 self._free_all()
-                self.enabled, self.paused_s = not self.variant.reset_disables, None
+                self.enabled, self.paused_s = not self.variant.reset_disables and not self.locked, None
             case "device_pause":
                 self.paused_s = self.now if self.paused_s is None else self.paused_s
             case "device_continue" if self.paused_s is not None:
@@ -548,7 +550,7 @@ class Firmware(Node):
     # ---- What a test does --------------------------------------------------------------------------------------------
 
     def becomes(self, **states: bool) -> None:
-        """Sets `hand`, `power` or `enabled`, and tells it."""
+        """Sets `hand`, `power`, `enabled` or `locked`, and tells it."""
         with self.changed:
             for name, state in states.items():
                 setattr(self, name, state)
