@@ -386,6 +386,8 @@ def test_the_check_and_the_scene_wait_for_a_hand_on_the_sensor(
     advice = "the device exerts no force because its safety switch is open: hold the handle lightly"
     signs = methods.call("set_forces", {"enabled": True})["signs"]  # type: ignore[call-overload,index]
     assert (signs["state"], signs["problem"], signs["advice"]) == ("waiting", "idle", advice)
+    streamed = methods.call("stream_force", {"seq": 1, "force_n": [0.0, 0.0]})
+    assert streamed == {"forces": "on", "warning": f"forces are held back: {advice}"}
     with pytest.raises(MethodError, match=f"forces are held back: {advice}"):
         methods.call("play", {"material": "wood", "amplitude_m_per_s2": 1.0, "direction": [0, 1]})
     waits(flashed)
