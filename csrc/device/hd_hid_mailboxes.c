@@ -51,7 +51,7 @@ HD_RT void hd_hid_step_look(struct hd_hid *hid, int64_t now_ns, struct hd_look *
     }
     look->reading = hid->seen;
     look->connection = hid->seen_connection;
-    look->idle = idle_reasons(hid);
+    look->idle = hid->seen_signs.number != 0 ? idle_reasons(hid) : 0u;
     look->signs = &hid->seen_signs;
 }
 

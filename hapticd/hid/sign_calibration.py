@@ -156,7 +156,8 @@ def calibrate(
                 advice = (
                     ": ".join(idle_texts(pusher.idle))
                     if pusher.idle
-                    else f"{STILL_ADVICE}, check that the device accepts these reports, or try a larger --force"
+                    else f"{STILL_ADVICE}, check that the device accepts these reports, or, if friction or a dead band "
+                    "takes this force, try a larger --force"
                 )
                 raise DeviceError(
                     f"the handle did not move along any axis when {force_n:g} N pushed along the device's {name} axis, "

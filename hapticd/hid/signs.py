@@ -171,7 +171,8 @@ class SignsLog:
             return
         self._last = status
         if line is None:
-            self._repeats.line("right", logging.INFO, "signs of the device are right: forces are on")
+            text = "signs of the device checked: forces move the handle the right way"
+            self._repeats.line("right", logging.INFO, text)
         elif status.problem == SignsProblem.IDLE:
             self._repeats.line("idle", logging.WARNING, f"forces are held back: {line}", MAX_STATE_INTERVAL_S)
         elif status.state == SignsState.WRONG:

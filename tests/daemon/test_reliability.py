@@ -48,6 +48,7 @@ ELSEWHERE = {
     "effects-forgotten",
     # In test_signs_live.py.
     "signs",
+    "idle",
     # In tests/integration/test_lease.py.
     "client-killed",
 }
