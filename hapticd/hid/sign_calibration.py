@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal
 
 from hapticd.base.core import ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
-from hapticd.hid.device import Device, Driver, arrived_reports
+from hapticd.hid.device import Device, Driver
 from hapticd.hid.plan import DeviceError, Plan
+from hapticd.hid.range_calibration import read_counts, send_rest
 
 MAX_FORCE_SHARE: Final = 0.1
 """Largest force of a calibration, as a fraction of the device's largest force."""
@@ -53,7 +53,7 @@ class _Pusher:
         self._now, self._pause = now, pause
         self._described = plan.to_c()
         self._renewed = now()
-        self.position_m: list[float | None] = [None, None]
+        self._counts: list[int | None] = [None, None]
 
     def put(self, x_n: float, y_n: float) -> None:
         """Send a force, wait for PUSH_STEP_S, and read the reports that arrived."""
@@ -69,16 +69,13 @@ class _Pusher:
                 self._device.write(renewal.data)
         self._sent = sent if x_n or y_n else self._sent
         self._pause(PUSH_STEP_S)
-        self.read()
+        read_counts(self._device, self._plan, self._counts)
 
-    def read(self) -> None:
-        """Read the queued input reports and store the newest position of each axis."""
-        numbered = self._plan.x.report_id != 0
-        for report in arrived_reports(self._device.fileno()):
-            data = report if numbered else b"\0" + report
-            for place, axis in enumerate((self._plan.x, self._plan.y)):
-                if data[0] == axis.report_id and axis.bits.end <= 8 * (len(data) - 1):
-                    self.position_m[place] = (axis.bits.get(data) - axis.zero_counts) * axis.m_per_count
+    @property
+    def position_m(self) -> list[float | None]:
+        """The newest position along x and y; None if it is not known yet."""
+        axes = zip((self._plan.x, self._plan.y), self._counts, strict=True)
+        return [None if counts is None else axis.position_m(counts) for axis, counts in axes]
 
     def push(self, along: int, force_n: float, half_m: float) -> tuple[float, float]:
         """Push the handle along the device's axis 0 or 1, and return its motion along x and y, in m.
@@ -151,7 +148,7 @@ def calibrate(
                 )
         return Calibration(_force_axes_of(moved), moved)
     finally:
-        _send_rest(device, plan)
+        send_rest(device, plan)
 
 
 def _single_axis_hint(moved: dict[str, tuple[float, float]]) -> str:
@@ -179,10 +176,3 @@ def _force_axes_of(moved: dict[str, tuple[float, float]]) -> ForceAxes:
         raise DeviceError(f"both of the device's axes moved the handle along {moves['x'][0]}; do not touch the handle")
     signs: dict[str, Literal[1, -1]] = {name: 1 if move[1] > 0 else -1 for name, move in moves.items()}
     return ForceAxes(x=ForceAxis(sign=signs["x"]), y=ForceAxis(sign=signs.get("y", 1)), swap=moves["x"][0] == "y")
-
-
-def _send_rest(device: Device, plan: Plan) -> None:
-    """Send a force of zero, stop every effect, and ignore errors of the device."""
-    for report in (*(message.at_rest() for message in plan.force), *(message.data for message in plan.stop)):
-        with suppress(DeviceError):
-            device.write(report)

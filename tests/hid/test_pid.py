@@ -290,7 +290,7 @@ def test_positions() -> None:
     with joystick(Joystick(axis_range=(0, 1023), axis_bits=10)) as stick:
         plan = driver(stick, travel_m=0.06).set_up(stick.device)
         for axis, sign in ((plan.x, 1), (plan.y, -1)):
-            metres = [(counts - axis.zero_counts) * axis.m_per_count for counts in (0, 511.5, 1023)]
+            metres = [axis.position_m(counts) for counts in (0, 511.5, 1023)]
             assert metres == pytest.approx([-sign * 0.06, 0.0, sign * 0.06], abs=1e-12)
         assert plan.x.bits.get(b"\x01\xff\x03\x00") == 1023
         assert plan.resolution_m == pytest.approx(0.12 / 1023)
