@@ -86,11 +86,11 @@ class AxisPlan:
     def position_m(self, counts: float) -> float:
         """Return the position at a count."""
         off = counts - self.zero_counts
-        return off * self.m_per_count[off > 0.0]
+        return off * self.m_per_count[bool(off > 0.0)]
 
     def counts(self, position_m: float) -> float:
         """Return the count at a position: the inverse of `position_m`."""
-        return self.zero_counts + position_m / self.m_per_count[position_m * self.m_per_count[0] > 0.0]
+        return self.zero_counts + position_m / self.m_per_count[bool(position_m * self.m_per_count[0] > 0.0)]
 
     def range_counts(self, low_m: float, high_m: float) -> tuple[int, int]:
         """Return the smallest and the largest count between two positions."""
