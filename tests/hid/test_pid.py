@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from hapticd.base.core import ffi, lib
+from hapticd.base.errors import InvalidError
 from hapticd.config.hid import Hid
 from hapticd.hid.descriptor.layout import Layout, layout_of
 from hapticd.hid.descriptor.parser import parse
@@ -284,6 +285,47 @@ def test_effects_numbered_by_the_device() -> None:
         assert list(stick.effects) == [7, 8]
         send(stick, plan, (0.0, 8.9))
         assert stick.effects[8].magnitude == 10000
+
+
+def test_positions_in_a_measured_range() -> None:
+    """The recording of a stick that reports -327..396 of -512..511 and rests at 20; HID's Y grows towards the user."""
+    axes = {"y": {"counts": [-327, 20, 396]}}
+    with joystick(Joystick(axis_range=(-512, 511), axis_bits=10)) as stick:
+        plan = driver(stick, travel_m=0.06, axes=axes).set_up(stick.device)
+    ends_m = [plan.y.position_m(counts) for counts in (-327, 20, 396)]
+    assert ends_m == pytest.approx([0.06, 0.0, -0.06], abs=1e-15) and plan.y.position_m(20) == 0.0
+    # Each half has its own slope, also beyond the ends.
+    assert plan.y.position_m(-327 - 347) == pytest.approx(0.12) and plan.y.position_m(208) == pytest.approx(-0.03)
+    assert [plan.y.counts(at_m) for at_m in (0.06, 0.03, 0.0, -0.06)] == pytest.approx([-327, -153.5, 20, 396])
+    assert plan.resolution_m == pytest.approx(0.06 / 347), "the coarser half"
+    assert plan.x.m_per_count == (0.06 / 511.5,) * 2
+
+
+@pytest.mark.parametrize(
+    ("counts", "message"),
+    [
+        ([-600, 20, 396], "device.hid.axes.y.counts: must lie within -512 to 511, the range of the device's axis Y"),
+        ([-327, 20, 512], "are -327 to 512"),
+        ([0, 2048, 4095], "must lie within -512 to 511"),
+    ],
+)
+def test_counts_that_the_device_cannot_report(counts: list[int], message: str) -> None:
+    like = Joystick(axis_range=(-512, 511), axis_bits=10)
+    with joystick(like) as stick, pytest.raises(DeviceError, match=message) as caught:
+        driver(stick, axes={"y": {"counts": counts}})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("counts", [[396, 20, -327], [-327, -327, 396], [-327, 396, 396], [-327, 400, 396]])
+def test_counts_that_do_not_increase(counts: list[int]) -> None:
+    with pytest.raises(InvalidError, match=r"axes.y: counts must increase: low, middle, high, are \["):
+        Hid(axes={"y": {"counts": counts}})
+
+
+def test_counts_keep_the_other_keys_of_an_axis() -> None:
+    assert Hid(axes={"y": {"counts": [1, 2, 3]}}).axes.y.sign == -1
+    y = Hid(axes={"y": {"usage": "Rz", "counts": [1, 2, 3]}}).axes.y
+    assert (y.usage, y.sign) == ("Rz", 1)
 
 
 def test_positions() -> None:

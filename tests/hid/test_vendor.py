@@ -95,6 +95,12 @@ def faults(report: dict[str, Any]) -> dict[str, str]:
     return {problem.where: problem.problem for problem in caught.value.problems}
 
 
+def test_counts_of_axes_are_those_of_the_report() -> None:
+    message = "axes: counts are not used with report, whose input has counts_per_m and zero_counts"
+    with pytest.raises(InvalidError, match=message):
+        Hid(report=REPORT, axes={"x": {"counts": [1, 2, 3]}})
+
+
 def test_enable_sequence_and_plan() -> None:
     recorder = Recorder()
     plan = VendorDriver(hid(REPORT), DESCRIPTOR).set_up(recorder)
