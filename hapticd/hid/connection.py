@@ -110,7 +110,7 @@ class Connection:
 
         `priority` is the SCHED_FIFO priority of C's threads, 0 for none. The reports that stop the device are written
         to `stop_file`. With `check`, C checks before a device's first force whether forces push the right way. `use`
-        warns if the handle's positions look wrong.
+        warns of implausible positions of the handle.
         """
         made = lib.hd_hid_new()
         if made == ffi.NULL:

@@ -1,4 +1,4 @@
-"""Notes from a device's positions where the handle rests and which range it reaches, and warns where that looks wrong.
+"""Finds from a device's positions where its handle rests and which range it reaches, and warns if that is implausible.
 
 Two faults cannot be felt as such: a handle that rests inside an object, which then pushes it although nobody holds it,
 and a handle whose counts do not reach the ends of their range, so that all distances are too short. Both are corrected

@@ -15,9 +15,9 @@ from hapticd.hid.plan import AxisPlan, DeviceError, Plan
 
 START_TIMEOUT_S: Final = 20.0
 """The measurement ends if the handle is not moved within this time."""
-STILL_S: Final = 2.5
+SHORT_STILL_TIME_S: Final = 2.5
 """The measurement ends once the handle was still for this time, away from the ends of its range."""
-LONG_STILL_S: Final = 8.0
+LONG_STILL_TIME_S: Final = 8.0
 """The measurement also ends once the handle was still for this time, wherever it is."""
 _READ_INTERVAL_S: Final = 0.01
 _STILL_SHARE: Final = 1.0 / 400.0
@@ -28,13 +28,15 @@ _SWEPT_SHARE: Final = 0.25
 """Fraction of the range in the report descriptor that is moved through before a short rest ends the measurement."""
 _MIN_RANGE_SHARE: Final = 0.03
 """A smaller range is not used, as a fraction of the range in the report descriptor."""
+_MIN_RANGE_COUNTS: Final = 40
+"""A smaller range is not used either: it might leave fewer counts than needed on one side of the middle."""
 _MAX_OFF_CENTRE: Final = 0.2
 """A handle that rests farther from the middle of its range has no spring; as a fraction of the half range."""
 
 
 @dataclass(slots=True)
 class _Axis:
-    """The counts of one axis that were read so far."""
+    """The counts that were read of one axis."""
 
     name: str
     first: int
@@ -76,7 +78,7 @@ class _Axis:
 
     def result(self) -> tuple[CountRange | None, str | None]:
         """Return the measured counts, and a note for the user; None if there is none."""
-        if self.high - self.low < max(_MIN_RANGE_SHARE * (self.last - self.first), 4 * _STILL_COUNTS):
+        if self.high - self.low < max(_MIN_RANGE_SHARE * (self.last - self.first), _MIN_RANGE_COUNTS):
             return None, f"axis {self.name} was hardly moved: its counts are not measured"
         low, high, rest = int(self.low), int(self.high), median_low(self.rest)
         middle = (low + high) // 2
@@ -129,7 +131,9 @@ def measure_range(
             if not has_moved and now() - start_s > START_TIMEOUT_S:
                 notes = (f"the handle was not moved within {START_TIMEOUT_S:.0f} s: its counts are not measured",)
                 return MeasuredRange(None, None, notes)
-            if has_moved and still_s > (STILL_S if all(axis.is_swept for axis in axes) else LONG_STILL_S):
+            if has_moved and still_s > (
+                SHORT_STILL_TIME_S if all(axis.is_swept for axis in axes) else LONG_STILL_TIME_S
+            ):
                 break
             seen = [f"{axis.name} {axis.low:.0f}..{axis.high:.0f}" for axis in axes if axis.before is not None]
             show(", ".join([*seen, f"still for {still_s:.0f} s" if has_moved else "move the handle"]))

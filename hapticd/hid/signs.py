@@ -70,8 +70,8 @@ class Check:
         shows = f"0x{version:04x}" if isinstance(version, int) else "none"
         action = f"set device_version: {shows}" if isinstance(version, int) else "remove device_version"
         return (
-            f"device.hid.device_version is 0x{self._trusted_version:04x}, the device shows {shows}: its signs are "
-            f"checked before the first force, at each start; if they are right, {action}"
+            f"device.hid.device_version is 0x{self._trusted_version:04x}, the device shows {shows}: "
+            f"its signs are checked before the first force, at each start; if they are right, {action}"
         )
 
     def of(

@@ -305,7 +305,9 @@ def test_positions_in_a_measured_range() -> None:
     ("counts", "message"),
     [
         ([-600, 20, 396], "device.hid.axes.y.counts: must lie within -512 to 511, the range of the device's axis Y"),
-        ([-327, 20, 512], "are -327 to 512"),
+        ([-327, 20, 512], r"are \[-327, 20, 512\]"),
+        ([-1, 0, 1], "with at least 16 on each side of the middle"),
+        ([-512, -511, 511], "with at least 16 on each side of the middle"),
         ([0, 2048, 4095], "must lie within -512 to 511"),
     ],
 )

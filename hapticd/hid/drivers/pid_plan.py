@@ -20,6 +20,7 @@ from typing import Final, Literal
 
 from hapticd.base.core import HidMeaning, HidQuantity
 from hapticd.config.hid import HandleAxis, Hid
+from hapticd.hid.descriptor.fields import MIN_AXIS_COUNTS
 from hapticd.hid.descriptor.layout import Axis, Layout
 from hapticd.hid.drivers.pid_reports import (
     Effect,
@@ -122,10 +123,10 @@ def _axis(layout: Layout, axis: HandleAxis, name: str, hid: Hid) -> AxisPlan:
     field = found.field
     first, last = field.logical_min, field.logical_max
     low, middle, high = axis.counts or (first, (first + last) / 2.0, last)
-    if low < first or high > last:
+    if axis.counts and (low < first or high > last or min(middle - low, high - middle) < MIN_AXIS_COUNTS // 2):
         raise DeviceError(
             f"device.hid.axes.{name}.counts: must lie within {first} to {last}, the range of the device's axis "
-            f"{axis.usage}, are {low} to {high}"
+            f"{axis.usage}, with at least {MIN_AXIS_COUNTS // 2} on each side of the middle, are {list(axis.counts)}"
         )
     travel_m = axis.sign * hid.travel_m
     return AxisPlan(bits_of(field), field.report_id, middle, (travel_m / (middle - low), travel_m / (high - middle)))
