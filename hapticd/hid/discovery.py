@@ -23,8 +23,7 @@ from hapticd.hid.verdict import Verdict, verdict_of
 HIDRAW_SYSFS: Final = Path("/sys/class/hidraw")
 DEV_FOLDER: Final = Path("/dev")
 
-_USB_BUS: Final = 3
-_BUS_NAMES: Final = {_USB_BUS: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
+_BUS_NAMES: Final = {3: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
 """Names of the buses by their numbers in linux/input.h."""
 _MAX_REASONS: Final = 3
 """An error says for at most this many devices why they cannot be driven."""
@@ -210,18 +209,17 @@ def _read_device(entry: Path, node: Path) -> SysfsDevice:
         permission="absent" if absent else "denied" if denied else "ok",
         hid_name=device.resolve().name,
         port=uevent.get("HID_PHYS", ""),
-        version=_version(device.resolve(), bus),
+        version=_version(device.resolve()),
     )
 
 
-def _version(device: Path, bus: int) -> int | None:
+def _version(device: Path) -> int | None:
     """Return the version of a HID device, given its folder in sysfs; None if it shows none.
 
-    A USB device has it two folders up. The version of its input nodes is that of the HID specification; on other buses,
-    such as Bluetooth, it is that of the device.
+    A USB device has it two folders up; the version of its input nodes is that of the HID specification. On other buses,
+    such as Bluetooth, the input nodes have the version of the device.
     """
-    usb = device.parent.parent / "bcdDevice"
-    for file in [usb] if bus == _USB_BUS else sorted(device.glob("input/input*/id/version")):
+    for file in (device.parent.parent / "bcdDevice", *sorted(device.glob("input/input*/id/version"))):
         with suppress(OSError, ValueError):
             return int(_text(file), 16)
     return None

@@ -318,6 +318,14 @@ def test_counts_that_the_device_cannot_report(counts: list[int], message: str) -
     assert "\n" not in str(caught.value)
 
 
+def test_counts_of_an_axis_that_the_device_lacks() -> None:
+    axes = {"y": {"counts": [0, 100, 200]}}
+    with joystick(Joystick(axes=(0x30,), force_axes=(0x30,))) as stick:
+        assert driver(stick).set_up(stick.device).y.is_still
+        with pytest.raises(DeviceError, match=r"device\.hid\.axes\.y\.usage: the device has no axis Y; it has X"):
+            driver(stick, axes=axes)
+
+
 @pytest.mark.parametrize("counts", [[396, 20, -327], [-327, -327, 396], [-327, 396, 396], [-327, 400, 396]])
 def test_counts_that_do_not_increase(counts: list[int]) -> None:
     with pytest.raises(InvalidError, match=r"axes.y: counts must increase: low, middle, high, are \["):

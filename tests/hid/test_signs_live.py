@@ -354,8 +354,9 @@ class _Unheard:
         return False
 
 
+@pytest.mark.parametrize("enabled", [True, False], ids=["forces on", "forces off"])
 def test_a_handle_that_rests_inside_a_wall_is_reported(
-    world: Sprung, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    world: Sprung, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, enabled: bool
 ) -> None:
     """The check of signs would wait for ever that somebody moves the handle away and lets go of it."""
     monkeypatch.setattr(handle_use, "MIN_REST_S", 0.05)
@@ -364,14 +365,16 @@ def test_a_handle_that_rests_inside_a_wall_is_reported(
     world.hold(0.003)
     engine = world.start()
     telemetry = Telemetry(engine, cast(Any, _Unheard()), dict)
-    engine.set_forces(True)
+    if enabled:
+        engine.set_forces(True)
 
     def warned() -> list[str]:
         telemetry._drain()
         telemetry._send_samples()
         return list(Methods(engine).call("get_status", {})["connection"]["warnings"])
 
-    world.until(lambda: bool(warned()) and signs_of(engine)["problem"] == "contact")
+    problem = "contact" if enabled else None
+    world.until(lambda: bool(warned()) and signs_of(engine)["problem"] == problem)
     (line,) = warned()
     assert line.startswith("the handle rests at x 0.0 mm, y -3.0 mm, inside floor, which pushes it with 2.4 N: ")
     assert caplog.messages.count(line) == 1

@@ -110,7 +110,7 @@ def schemes_of(layout: Layout, hid: Hid) -> tuple[Scheme, ...]:
 def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
     """Return the position fields of the handle's axes x and y. Raises DeviceError if the device lacks one of them."""
     x = _axis(layout, hid.axes.x, "x", hid)
-    if has_one_axis(layout, hid) and hid.axes.y.usage.lower() not in layout.input:
+    if has_one_axis(layout, hid) and hid.axes.y.usage.lower() not in layout.input and hid.axes.y.counts is None:
         return x, AxisPlan(x.bits, x.report_id, x.zero_counts, (STILL_AXIS_M_PER_COUNT,) * 2)
     return x, _axis(layout, hid.axes.y, "y", hid)
 
