@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from statistics import median_low
 from typing import Final
 
 from hapticd.config.hid import CountRange
-from hapticd.hid.device import Device, Driver, arrived_reports
-from hapticd.hid.plan import AxisPlan, DeviceError, Plan
+from hapticd.hid.device import Device, Driver
+from hapticd.hid.plan import AxisPlan
+from hapticd.hid.sign_calibration import PUSH_STEP_S, Pusher, send_rest
 
 START_TIMEOUT_S: Final = 20.0
 """The measurement ends if the handle is not moved within this time."""
@@ -19,7 +19,6 @@ SHORT_STILL_TIME_S: Final = 2.5
 """The measurement ends once the handle was still for this time, away from the ends of its range."""
 LONG_STILL_TIME_S: Final = 8.0
 """The measurement also ends once the handle was still for this time, wherever it is."""
-_READ_INTERVAL_S: Final = 0.01
 _STILL_SHARE: Final = 1.0 / 400.0
 """A handle is still while it moves by no more than this fraction of the axis' range in the report descriptor."""
 _STILL_COUNTS: Final = 2.0
@@ -39,6 +38,7 @@ class _Axis:
     """The counts that were read of one axis."""
 
     name: str
+    plan: AxisPlan
     first: int
     """Smallest count of the axis, by the report descriptor; a smaller one is ignored."""
     last: int
@@ -55,9 +55,9 @@ class _Axis:
         """Largest motion of a handle that is still, in counts."""
         return max(_STILL_COUNTS, _STILL_SHARE * (self.last - self.first))
 
-    def note(self, counts: int | None) -> bool:
-        """Take the newest count; return whether the handle has moved. A single outlier does not widen the range."""
-        if counts is None or not self.first <= counts <= self.last:
+    def note(self, position_m: float | None) -> bool:
+        """Take the newest position; return whether the handle has moved. One outlier does not widen the range."""
+        if position_m is None or not self.first <= (counts := round(self.plan.counts(position_m))) <= self.last:
             return False
         before = counts if self.before is None else self.before
         self.low, self.high = min(self.low, max(before, counts)), max(self.high, min(before, counts))
@@ -113,27 +113,23 @@ def measure_range(
     line of progress. The force is zero. Raises DeviceError if the device is gone.
     """
     plan = driver.set_up(device)
+    pusher = Pusher(device, plan, now, pause)
+    axes = [_Axis(name, axis, *axis.range_counts(-travel_m, travel_m)) for name, axis in (("x", plan.x), ("y", plan.y))]
+    axes = axes[: 1 if plan.y.is_still else 2]
     try:
-        axes = [
-            _Axis(name, *axis.range_counts(-travel_m, travel_m))
-            for name, axis in (("x", plan.x), ("y", plan.y))
-            if not axis.is_still
-        ]
-        counts: list[int | None] = [None, None]
         start_s = still_since_s = now()
         has_moved = False
         while True:
-            pause(_READ_INTERVAL_S)
-            read_counts(device, plan, counts)
-            if any([axis.note(counts["xy".index(axis.name)]) for axis in axes]):
+            pause(PUSH_STEP_S)
+            pusher.read()
+            if any([axis.note(at_m) for axis, at_m in zip(axes, pusher.position_m, strict=False)]):
                 has_moved, still_since_s = True, now()
             still_s = now() - still_since_s
             if not has_moved and now() - start_s > START_TIMEOUT_S:
                 notes = (f"the handle was not moved within {START_TIMEOUT_S:.0f} s: its counts are not measured",)
                 return MeasuredRange(None, None, notes)
-            if has_moved and still_s > (
-                SHORT_STILL_TIME_S if all(axis.is_swept for axis in axes) else LONG_STILL_TIME_S
-            ):
+            until_s = SHORT_STILL_TIME_S if all(axis.is_swept for axis in axes) else LONG_STILL_TIME_S
+            if has_moved and still_s > until_s:
                 break
             seen = [f"{axis.name} {axis.low:.0f}..{axis.high:.0f}" for axis in axes if axis.before is not None]
             show(", ".join([*seen, f"still for {still_s:.0f} s" if has_moved else "move the handle"]))
@@ -142,20 +138,3 @@ def measure_range(
     results = {axis.name: axis.result() for axis in axes}
     x, y = (results.get(name, (None, None))[0] for name in "xy")
     return MeasuredRange(x, y, tuple(note for _, note in results.values() if note is not None))
-
-
-def read_counts(device: Device, plan: Plan, counts: list[int | None]) -> None:
-    """Read the queued input reports, and store the newest count of each axis, x and y, in `counts`."""
-    axes: tuple[AxisPlan, AxisPlan] = (plan.x, plan.y)
-    for report in arrived_reports(device.fileno()):
-        data = report if plan.x.report_id != 0 else b"\0" + report
-        for place, axis in enumerate(axes):
-            if data[0] == axis.report_id and axis.bits.end <= 8 * (len(data) - 1):
-                counts[place] = axis.bits.get(data)
-
-
-def send_rest(device: Device, plan: Plan) -> None:
-    """Send a force of zero, stop every effect, and ignore errors of the device."""
-    for report in (*(message.at_rest() for message in plan.force), *(message.data for message in plan.stop)):
-        with suppress(DeviceError):
-            device.write(report)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal
 
 from hapticd.base.core import ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
-from hapticd.hid.device import Device, Driver
+from hapticd.hid.device import Device, Driver, arrived_reports
 from hapticd.hid.plan import DeviceError, Plan
-from hapticd.hid.range_calibration import read_counts, send_rest
 
 MAX_FORCE_SHARE: Final = 0.1
 """Largest force of a calibration, as a fraction of the device's largest force."""
@@ -44,7 +44,7 @@ class Calibration:
     """Motion of the handle along x and y, in m, by the device's axis along which a force pushed."""
 
 
-class _Pusher:
+class Pusher:
     """Sends forces to a device during a calibration, and reads the positions of its handle."""
 
     def __init__(self, device: Device, plan: Plan, now: Callable[[], float], pause: Callable[[float], None]) -> None:
@@ -53,7 +53,7 @@ class _Pusher:
         self._now, self._pause = now, pause
         self._described = plan.to_c()
         self._renewed = now()
-        self._counts: list[int | None] = [None, None]
+        self.position_m: list[float | None] = [None, None]
 
     def put(self, x_n: float, y_n: float) -> None:
         """Send a force, wait for PUSH_STEP_S, and read the reports that arrived."""
@@ -69,13 +69,16 @@ class _Pusher:
                 self._device.write(renewal.data)
         self._sent = sent if x_n or y_n else self._sent
         self._pause(PUSH_STEP_S)
-        read_counts(self._device, self._plan, self._counts)
+        self.read()
 
-    @property
-    def position_m(self) -> list[float | None]:
-        """The newest position along x and y; None if it is not known yet."""
-        axes = zip((self._plan.x, self._plan.y), self._counts, strict=True)
-        return [None if counts is None else axis.position_m(counts) for axis, counts in axes]
+    def read(self) -> None:
+        """Read the queued input reports and store the newest position of each axis."""
+        numbered = self._plan.x.report_id != 0
+        for report in arrived_reports(self._device.fileno()):
+            data = report if numbered else b"\0" + report
+            for place, axis in enumerate((self._plan.x, self._plan.y)):
+                if data[0] == axis.report_id and axis.bits.end <= 8 * (len(data) - 1):
+                    self.position_m[place] = axis.position_m(axis.bits.get(data))
 
     def push(self, along: int, force_n: float, half_m: float) -> tuple[float, float]:
         """Push the handle along the device's axis 0 or 1, and return its motion along x and y, in m.
@@ -128,7 +131,7 @@ def calibrate(
         limit_n = MAX_FORCE_SHARE * hid.full_scale_force_n
         raise ValueError(f"the force must be above 0 and at most {limit_n:g} N, is {force_n:g} N")
     plan = driver.set_up(device)
-    pusher = _Pusher(device, plan, now, pause)
+    pusher = Pusher(device, plan, now, pause)
     half_m = hid.travel_m
     try:
         moved: dict[str, tuple[float, float]] = {}
@@ -176,3 +179,10 @@ def _force_axes_of(moved: dict[str, tuple[float, float]]) -> ForceAxes:
         raise DeviceError(f"both of the device's axes moved the handle along {moves['x'][0]}; do not touch the handle")
     signs: dict[str, Literal[1, -1]] = {name: 1 if move[1] > 0 else -1 for name, move in moves.items()}
     return ForceAxes(x=ForceAxis(sign=signs["x"]), y=ForceAxis(sign=signs.get("y", 1)), swap=moves["x"][0] == "y")
+
+
+def send_rest(device: Device, plan: Plan) -> None:
+    """Send a force of zero, stop every effect, and ignore errors of the device."""
+    for report in (*(message.at_rest() for message in plan.force), *(message.data for message in plan.stop)):
+        with suppress(DeviceError):
+            device.write(report)
