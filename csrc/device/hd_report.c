@@ -95,7 +95,7 @@ int hd_hid_check(const struct hd_hid_plan *plan) {
         const double below = from->m_per_count[0];
         const double above = from->m_per_count[1];
         if (!(fabs(from->zero_counts) <= 1e12) || !(fabs(below) <= 1e12) || !(fabs(above) <= 1e12) ||
-            !(below * above > 0.0)) {
+            !(below > 0.0 ? above > 0.0 : below < 0.0 && above < 0.0)) {
             return hd_invalid("plan: %s: zero at %g counts, %g and %g m per count below and above it", name,
                               from->zero_counts, below, above);
         }
