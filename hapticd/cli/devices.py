@@ -227,8 +227,8 @@ def calibrate_command(
         if not yes:
             click.confirm(f"{opened.name} at {opened.device.path} will move. Is the handle free?", abort=True, err=True)
         found = calibrate(opened.device, opened.driver, hid, force_n)
-        found_keys = {**opened.keys, "force_axes": found.force_axes.to_dict(), "signs": "trust"}
-        measured = {**hid.to_dict({"device_version"}), **found_keys}
+        measured = {**opened.keys, **hid.to_dict({*opened.keys, "device_version"})}
+        measured |= {"force_axes": found.force_axes.to_dict(), "signs": "trust"}
         try:
             if hid.report is None:
                 note("now move the handle slowly to all corners of its range, then let go of it and wait")

@@ -238,8 +238,8 @@ class Hid(Model):
     )
     device_version: Annotated[int, Field(ge=0, le=0xFFFF)] | None = Field(
         default=None,
-        description="Version of the device (bcdDevice of USB) that was calibrated. A device that shows another one is "
-        "checked as by `signs: check`; null: not known.",
+        description="Version of the calibrated device: bcdDevice of USB, which lsusb prints as 1.07 for 0x0107. A "
+        "device that shows another one is checked as by `signs: check`; null: not known.",
     )
     travel_m: float = Field(
         default=0.05, ge=0.001, le=10, description="Half the handle's travel, from the middle to the end of its range."

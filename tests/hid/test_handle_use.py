@@ -19,7 +19,7 @@ from tests.support.hid_descriptors import Joystick
 STICK = bytes(Joystick(axis_range=(-512, 511), axis_bits=10))
 TRAVEL_M = 0.06
 M_PER_COUNT = TRAVEL_M / 511.5
-STEP_S = 0.02
+STEP_S = 0.05
 """Time between two batches of samples."""
 
 
@@ -59,7 +59,7 @@ class Stick:
     def sweep(self, low: float, high: float, duration_s: float) -> None:
         """Move the handle along y through its whole range, from end to end in a second."""
         count = round(duration_s / STEP_S)
-        phase = np.abs((np.arange(count) / 25 + 1) % 4 - 2) - 1  # a triangle from -1 to 1, at the ends after 1 s, 3 s
+        phase = np.abs((np.arange(count) * STEP_S / 0.5 + 1) % 4 - 2) - 1  # a triangle from -1 to 1
         self.along([(0, (low + high) / 2 + (high - low) / 2 * part) for part in phase])
 
 
@@ -170,7 +170,7 @@ def test_a_handle_that_nobody_moves_is_not_used() -> None:
 
 def test_a_range_that_is_as_expected() -> None:
     short = Stick(axes={"y": {"counts": [-327, 20, 396]}})
-    short.sweep(-200, 250, 70)
+    short.sweep(-200, 250, 62)
     assert short.use.lines == (), "a measured range need not be used up"
     short.sweep(-340, 400, 5)
     assert short.use.lines == ()
@@ -180,7 +180,7 @@ def test_a_range_that_is_as_expected() -> None:
         "device.hid.axes.y.counts",
     )
     almost = Stick()
-    almost.sweep(-505, 500, 70)
+    almost.sweep(-505, 500, 62)
     assert almost.use.lines == ()
 
 
@@ -197,7 +197,7 @@ def test_a_jump_is_no_reach() -> None:
 
 def test_a_device_with_vendor_reports_has_its_own_scale() -> None:
     stick = Stick(report=REPORT)
-    stick.sweep(-10, 10, 70)
+    stick.sweep(-10, 10, 62)
     assert stick.use.lines == ()
     stick.inside("floor")
     stick.at(0, 10, 20)
