@@ -81,9 +81,9 @@ def test_a_rest_inside_an_object_is_reported_once(caplog: pytest.LogCaptureFixtu
 def test_a_rest_in_short_pieces() -> None:
     """As a recording has it that is played again and again: half a second of rest every two seconds."""
     stick = Stick(from_file=True)
-    for _ in range(12):
+    for _ in range(16):
         stick.inside()
-        stick.along([(0, y) for y in (*range(20, 396, 12), *range(396, -327, -12), *range(-327, 20, 12))])
+        stick.along([(0, y) for y in (*range(20, 396, 40), *range(396, -327, -40), *range(-327, 20, 40))])
         stick.inside("floor")
         stick.at(0, 20, 0.5)
     (line,) = stick.use.lines
