@@ -90,8 +90,8 @@ def _limits(schema: Schema) -> str:
     items = schema.get("prefixItems")
     options = schema.get("enum", [schema["const"]] if "const" in schema else None)
     if isinstance(items, list):
-        first, second = (_limits(_map(item)) for item in items)
-        return f"two numbers, {first}" if first == second else f"two numbers, {first} and {second}"
+        length = {2: "two", 3: "three"}[len(items)]
+        return f"{length} numbers, {' and '.join(dict.fromkeys(_limits(_map(item)) for item in items))}"
     if isinstance(options, list):
         return ", ".join(f"`{option}`" for option in options)
     match schema:

@@ -102,13 +102,13 @@ struct hd_hid_field {
     uint32_t big_endian;
 };
 
-/* One axis: position = (counts - zero_counts) * m_per_count. */
+/* One axis: position = (counts - zero_counts) * m_per_count; the halves of the travel may have different steps. */
 struct hd_hid_axis {
     struct hd_hid_field field;
     uint32_t report_id; /* 0: reports have no id */
     uint32_t unused;
     double zero_counts;
-    double m_per_count; /* its sign gives the direction of the axis */
+    double m_per_count[2]; /* below and above zero_counts; their common sign gives the direction of the axis */
 };
 
 /* The quantity of the force F (N, x to the right, y up) that a number in an output report carries. */

@@ -92,9 +92,12 @@ int hd_hid_check(const struct hd_hid_plan *plan) {
             return HD_ERR_INVALID;
         }
         /* Bounds that keep every reported position finite. */
-        if (!(fabs(from->zero_counts) <= 1e12) || !(fabs(from->m_per_count) <= 1e12) || from->m_per_count == 0.0) {
-            return hd_invalid("plan: %s: zero at %g counts, %g m per count", name, from->zero_counts,
-                              from->m_per_count);
+        const double below = from->m_per_count[0];
+        const double above = from->m_per_count[1];
+        if (!(fabs(from->zero_counts) <= 1e12) || !(fabs(below) <= 1e12) || !(fabs(above) <= 1e12) ||
+            !(below > 0.0 ? above > 0.0 : below < 0.0 && above < 0.0)) {
+            return hd_invalid("plan: %s: zero at %g counts, %g and %g m per count below and above it", name,
+                              from->zero_counts, below, above);
         }
     }
     if (plan->state_count > HD_HID_STATES) {
@@ -158,7 +161,8 @@ HD_RT void hd_report_take(const struct hd_hid_plan *plan, const uint8_t *report,
         const struct hd_hid_axis *from = &plan->axes[axis];
         if (from->report_id == report[0]) {
             cut = hd_bits_try_get(&from->field, report, length, &counts) != HD_OK;
-            found.position_m[axis] = ((double)counts - from->zero_counts) * from->m_per_count;
+            const double off = (double)counts - from->zero_counts;
+            found.position_m[axis] = off * from->m_per_count[off > 0.0];
             found.axes |= 1u << axis;
         }
     }

@@ -24,6 +24,7 @@ from hapticd.cli.common import (
     overwrite_option,
     print_json,
     print_result,
+    status_line,
 )
 from hapticd.hid.device_texts import unseen_reset_text
 
@@ -185,7 +186,7 @@ def _hand_over(device: str | None, as_json: bool, *, release: bool) -> None:
     print_result(result, as_json, f"{result['path']} ({item.name or 'no name'}) is {what}; its driver is {driver}")
 
 
-@devices_command.command("calibrate", short_help="Measure in which direction a device pushes.")
+@devices_command.command("calibrate", short_help="Measure a device's directions and range.")
 @config_option
 @click.option(
     "--force", "force_n", type=Finite(0, min_open=True), metavar="N", help="Test force [default: 5 % of full scale]."
@@ -197,12 +198,14 @@ def _hand_over(device: str | None, as_json: bool, *, release: bool) -> None:
 def calibrate_command(
     configs: tuple[str, ...], force_n: float | None, output: str | None, overwrite: bool, yes: bool, as_json: bool
 ) -> None:
-    """Measure in which direction a device pushes, and print the section device.hid of the configuration.
+    """Measure in which direction a device pushes, and the range of its handle; print the section device.hid.
 
-    The handle is pushed gently along each axis, in both directions; nobody may hold it.
+    First the handle is pushed gently along each axis, in both directions; nobody may hold it. Then move it to all
+    corners, and let go: the measurement ends once the handle is still. Ctrl-C leaves out the range.
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.hid import ForceAxes
+    from hapticd.hid.range_calibration import measure_range
     from hapticd.hid.sign_calibration import MAX_FORCE_SHARE, calibrate
     from hapticd.hid.sources import open_hid
 
@@ -218,19 +221,32 @@ def calibrate_command(
         raise click.UsageError(
             f"--force must be at most {limit_n:g} N, a tenth of device.hid.full_scale_force_n, is {force_n:g}"
         )
-    opened = open_hid(hid.model_copy(update={"force_axes": ForceAxes()}))
+    bare = {"force_axes": ForceAxes(), "axes": hid.axes.with_counts(None, None)}
+    opened = open_hid(hid.model_copy(update=bare))
     try:
         if not yes:
             click.confirm(f"{opened.name} at {opened.device.path} will move. Is the handle free?", abort=True, err=True)
         found = calibrate(opened.device, opened.driver, hid, force_n)
+        measured = {**opened.keys, **hid.to_dict({*opened.keys, "device_version"})}
+        measured |= {"force_axes": found.force_axes.to_dict(), "signs": "trust"}
+        try:
+            if hid.report is None:
+                note("now move the handle slowly to all corners of its range, then let go of it and wait")
+                with status_line() as show:
+                    reached = measure_range(opened.device, opened.driver, hid.travel_m, show)
+                for line in reached.notes:
+                    note(line)
+                axes = hid.axes.with_counts(reached.x or hid.axes.x.counts, reached.y or hid.axes.y.counts)
+                measured["axes"] = axes.to_dict()
+        finally:
+            # Ctrl-C or an unplugged device loses only the range.
+            section = {"device": {"kind": "hid", "hid": measured}}
+            text = yaml_text(section)
+            print_result(section, as_json, text)  # first, since the file may fail
+            if output is not None:
+                write_atomically(output, text + "\n", overwrite)
     finally:
         opened.device.close()
-    measured = {**hid.to_dict(), "force_axes": found.force_axes.to_dict(), "signs": "trust"}
-    section = {"device": {"kind": "hid", "hid": measured}}
-    text = yaml_text(section)
-    print_result(section, as_json, text)  # first, since the file may fail
-    if output is not None:
-        write_atomically(output, text + "\n", overwrite)
 
 
 @devices_command.command("parse", short_help="Show the axes and forces in a report descriptor.")

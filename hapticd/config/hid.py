@@ -1,5 +1,7 @@
 """Configuration of HID devices: `device.hid` and `device.replay`."""
 
+from __future__ import annotations
+
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import AfterValidator, Field, model_validator
@@ -10,6 +12,10 @@ from hapticd.base.model import Model
 Usage: TypeAlias = Literal["X", "Y", "Z", "Rx", "Ry", "Rz"]
 """Name of an axis in HID's usage page Generic Desktop."""
 Sign: TypeAlias = Literal[1, -1]
+Count: TypeAlias = Annotated[int, Field(ge=-(2**31), le=2**32 - 1)]
+"""A number in a report's field of at most 32 bits."""
+CountRange: TypeAlias = Annotated[tuple[Count, Count, Count], Field(strict=False)]
+"""The counts of an axis at the lower end of its range, in the middle, and at the upper end."""
 Quirk: TypeAlias = Literal[
     "infinite_duration",
     "no_device_gain",
@@ -43,8 +49,22 @@ HexReport: TypeAlias = Annotated[str, Field(max_length=1024), AfterValidator(_he
 class HandleAxis(Model):
     """The axis of the device's reports that gives one axis of the handle."""
 
-    usage: Usage = Field(description="HID usage of the report's axis.")
-    sign: Sign = Field(default=1, description="-1 if the counts grow to the left, or towards the user.")
+    usage: Usage = Field(default="X", description="HID usage of the report's axis; for y by default Y.")
+    sign: Sign = Field(
+        default=1,
+        description="-1 if the counts grow to the left, or towards the user; for y without usage by default -1.",
+    )
+    counts: CountRange | None = Field(
+        default=None,
+        description="Counts at the lower end of the travel, in the middle, and at the upper end, as `hapticd devices "
+        "calibrate` measures them; null: the range in the report descriptor.",
+    )
+
+    @model_validator(mode="after")
+    def _counts_increase(self) -> Self:
+        if self.counts is not None and not self.counts[0] < self.counts[1] < self.counts[2]:
+            raise ValueError(f"counts must increase: low, middle, high, are {list(self.counts)}")
+        return self
 
 
 class HandleAxes(Model):
@@ -54,6 +74,17 @@ class HandleAxes(Model):
     y: HandleAxis = Field(
         default=HandleAxis(usage="Y", sign=-1), description="The axis away from the user; HID's Y is opposite."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _usage_of_y(cls, data: Any) -> Any:
+        if isinstance(data, dict) and isinstance(data.get("y"), dict) and "usage" not in data["y"]:
+            return {**data, "y": {"usage": "Y", "sign": -1, **data["y"]}}
+        return data
+
+    def with_counts(self, x: CountRange | None, y: CountRange | None) -> HandleAxes:
+        """Return these axes with other counts."""
+        return HandleAxes(x=self.x.model_copy(update={"counts": x}), y=self.y.model_copy(update={"counts": y}))
 
 
 class ForceAxis(Model):
@@ -205,6 +236,11 @@ class Hid(Model):
     path: Annotated[str, Field(min_length=1, max_length=256)] | None = Field(
         default=None, description="Device node, such as /dev/hidraw3; null: any."
     )
+    device_version: Annotated[int, Field(ge=0, le=0xFFFF)] | None = Field(
+        default=None,
+        description="Version of the calibrated device: bcdDevice of USB, which lsusb prints as 1.07 for 0x0107. A "
+        "device that shows another one is checked as by `signs: check`; null: not known.",
+    )
     travel_m: float = Field(
         default=0.05, ge=0.001, le=10, description="Half the handle's travel, from the middle to the end of its range."
     )
@@ -260,6 +296,8 @@ class Hid(Model):
             raise ValueError("quirks: reports_on_change and reports_steadily exclude each other")
         if self.axes.x.usage == self.axes.y.usage:
             raise ValueError(f"axes: x and y must be different axes, both are {self.axes.x.usage}")
+        if self.report is not None and (self.axes.x.counts or self.axes.y.counts):
+            raise ValueError("axes: counts are not used with report, whose input has counts_per_m and zero_counts")
         return self
 
 

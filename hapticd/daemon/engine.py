@@ -133,12 +133,17 @@ class Engine:
         else:
             below_servo = 0 if servo.realtime == "off" else max(1, servo.priority - 1)
             hid = config.device.hid
-            checked = config.device.kind == "hid" and hid.signs == "check"
-            check = Check(hid.travel_m, hid.full_scale_force_n) if checked else None
+            replayed = config.device.kind == "replay"
+            trusted_version = None if hid.signs == "check" else hid.device_version
+            check = None
+            if not replayed and (hid.signs == "check" or trusted_version is not None):
+                check = Check(hid.travel_m, hid.full_scale_force_n, trusted_version)
             # Imported here because a simulated joystick does not need it and starts faster without it.
             from hapticd.hid.connection import Connection
+            from hapticd.hid.handle_use import HandleUse
 
-            self.connection = Connection(source_of(config.device), below_servo, stop_file, check)
+            use = HandleUse(hid, from_file=replayed)
+            self.connection = Connection(source_of(config.device), below_servo, stop_file, check, use)
             if config.device.hid.offload == "auto":
                 self._offload = self.connection.offload
         try:

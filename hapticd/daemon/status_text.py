@@ -192,6 +192,8 @@ def _connection(connection: object) -> Iterator[Line]:
     if isinstance(signs, dict):
         waits = signs["state"] in ("checking", "waiting") and signs["advice"]
         yield "signs", signs["state"] + (f": {signs['advice']}" if waits else "")
+    for line in connection.get("warnings", ()):
+        yield "warning", line
     if connection["states"]:
         yield "states", ", ".join(f"{name} {'yes' if value else 'no'}" for name, value in connection["states"].items())
     if connection["resets"]:

@@ -197,6 +197,8 @@ class Telemetry:
             batch, dropped = self._samples[: self._held], self._dropped
             if len(batch) == 0:
                 return
+            if self._engine.connection is not None:
+                self._engine.connection.note_use(batch, self._engine.touching)
             self._samples, self._sent_samples, self._held = self._sent_samples, self._samples, 0
         if self._publisher.wants("samples"):
             data = batch.view(np.uint8).data

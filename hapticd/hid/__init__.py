@@ -21,6 +21,8 @@ Besides that:
 
     signs               the check, before the first force, of the direction in which a device pushes
     sign_calibration    `hapticd devices calibrate`: finds the direction in which a device pushes
+    range_calibration   `hapticd devices calibrate`: measures the range of the handle
+    handle_use          warnings about a handle that rests inside an object, or does not reach the ends of its range
     nearest_effect      the device effect that is nearest to a mode
     offload             assigns device effects to modes
     stopper             a record and a command that stop a device whose daemon was killed

@@ -10,13 +10,17 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final
+
+import numpy as np
+import numpy.typing as npt
 
 from hapticd.base.core import CData, HidMeaning, Status, ffi, invalid_reason, lib
 from hapticd.base.errors import HapticdError
 from hapticd.hid.device import Device, Driver
+from hapticd.hid.handle_use import HandleUse
 from hapticd.hid.link import Link, link_of, measured_force_hz, plan_paced_for_link
 from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
@@ -58,6 +62,8 @@ class Opened:
     """Whether to measure, during set-up, the rate at which the device accepts output reports."""
     identity: str = ""
     """Text that distinguishes the device from others."""
+    keys: Mapping[str, int | str] = field(default_factory=dict)
+    """The keys of `device.hid` that select this device: vendor, product, serial number and device_version, as known."""
 
 
 Source = Callable[[], Opened]
@@ -93,12 +99,18 @@ class Connection:
     """
 
     def __init__(
-        self, source: Source, priority: int = 0, stop_file: StopFile | None = None, check: Check | None = None
+        self,
+        source: Source,
+        priority: int = 0,
+        stop_file: StopFile | None = None,
+        check: Check | None = None,
+        use: HandleUse | None = None,
     ) -> None:
         """Create a connection that is not open yet.
 
         `priority` is the SCHED_FIFO priority of C's threads, 0 for none. The reports that stop the device are written
-        to `stop_file`. With `check`, C checks before a device's first force whether forces push the right way.
+        to `stop_file`. With `check`, C checks before a device's first force whether forces push the right way. `use`
+        warns of implausible positions of the handle.
         """
         made = lib.hd_hid_new()
         if made == ffi.NULL:
@@ -112,6 +124,9 @@ class Connection:
         self._priority = priority
         self._stop_file = stop_file
         self._check = check
+        self._use = use
+        self._recheck: str | None = None
+        """Why the connected device is checked although the configuration trusts its signs."""
         self._live: _LiveConnection | None = None
         self._problem: str | None = None
         self._resets = 0
@@ -198,7 +213,15 @@ class Connection:
             "foreign_effect_s": live.plan.foreign_effect_s if live is not None and seen is False else None,
             "connects": self._connects,
             "states": states,
+            "device_version": None if live is None else live.opened.keys.get("device_version"),
+            "warnings": [*filter(None, [self._recheck]), *(() if self._use is None else self._use.lines)],
         }
+
+    def note_use(self, samples: npt.NDArray[np.void], touching: Callable[[], list[str]]) -> None:
+        """Observe the handle in consecutive samples. `touching` returns the ids of the objects touched at the last."""
+        live = self._live
+        if self._use is not None and live is not None:
+            self._use.note(samples, live.plan, touching)
 
     # ---- The thread ------------------------------------------------------------------------------------------------
 
@@ -261,9 +284,9 @@ class Connection:
             on_change = opened.on_change
             if on_change is None:
                 on_change = not _reports_steadily(opened.device, plan.x.report_id != 0, self._stop)
-            signs = None
+            signs, version = None, opened.keys.get("device_version")
             if self._check is not None:
-                signs = self._check.of(opened.identity, plan.driven_axes, plan.resolution_m)
+                signs = self._check.of(opened.identity, plan.driven_axes, plan.resolution_m, version)
             plan = plan_paced_for_link(replace(plan, on_change=on_change, signs=signs), link.rate_hz)
             self._hand_over(opened.device, plan)
         except BaseException:
@@ -272,6 +295,9 @@ class Connection:
             opened.device.close()
             raise
         self._connects += 1
+        self._recheck = None if self._check is None or signs is None else self._check.why(version)
+        if self._recheck is not None:
+            self._repeats.line("recheck", logging.WARNING, self._recheck, MAX_STATE_INTERVAL_S)
         if self._problem is not None:
             self._repeats.line(
                 "found", logging.INFO, f"device found: {opened.name} at {opened.device.path}", MAX_STATE_INTERVAL_S

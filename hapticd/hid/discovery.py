@@ -52,6 +52,8 @@ class SysfsDevice:
     """Name of the device in /sys/bus/hid/devices."""
     port: str = ""
     """The port that the device is plugged into, as HID_PHYS in sysfs names it."""
+    version: int | None = None
+    """The device's own version (bcdDevice of USB); None if it does not show one."""
     hid: Hid = field(default=Hid(), kw_only=True)
     """The configuration (device.hid) for which `verdict` was made."""
     verdict: Verdict = field(init=False, repr=False, compare=False)
@@ -80,8 +82,19 @@ class SysfsDevice:
 
     @property
     def identity(self) -> str:
-        """Text that distinguishes this device from others; without a serial number it includes the port."""
-        return f"{self.vendor:04x}:{self.product:04x} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
+        """Text that distinguishes this device from others; without a serial number it includes the port.
+
+        A device with another version counts as another device, because an update may turn its forces round.
+        """
+        numbers = f"{self.vendor:04x}:{self.product:04x}:{self.version}"
+        return f"{numbers} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
+
+    @property
+    def keys(self) -> dict[str, int | str]:
+        """The keys of `device.hid` for this device: vendor, product and, if known, serial number and version."""
+        keys: dict[str, int | str] = {"vendor": self.vendor, "product": self.product}
+        keys |= {"serial": self.serial} if self.serial else {}
+        return keys | ({} if self.version is None else {"device_version": self.version})
 
     @property
     def lacks_forces(self) -> bool:
@@ -95,7 +108,7 @@ class SysfsDevice:
 
     def to_dict(self) -> dict[str, object]:
         """Return the device as a map for `hapticd devices --json`."""
-        names = ("path", "name", "vendor", "product", "serial", "bus", "driver", "permission")
+        names = ("path", "name", "vendor", "product", "version", "serial", "bus", "driver", "permission")
         verdict, layout = self.verdict, self.verdict.layout
         return {
             **{name: getattr(self, name) for name in names},
@@ -196,7 +209,20 @@ def _read_device(entry: Path, node: Path) -> SysfsDevice:
         permission="absent" if absent else "denied" if denied else "ok",
         hid_name=device.resolve().name,
         port=uevent.get("HID_PHYS", ""),
+        version=_version(device.resolve()),
     )
+
+
+def _version(device: Path) -> int | None:
+    """Return the version of a HID device, given its folder in sysfs; None if it shows none.
+
+    A USB device has it two folders up; the version of its input nodes is that of the HID specification. On other buses,
+    such as Bluetooth, the input nodes have the version of the device.
+    """
+    for file in (device.parent.parent / "bcdDevice", *sorted(device.glob("input/input*/id/version"))):
+        with suppress(OSError, ValueError):
+            return int(_text(file), 16)
+    return None
 
 
 def _text(path: Path) -> str:

@@ -75,12 +75,32 @@ class Bits:
 
 @dataclass(frozen=True, slots=True)
 class AxisPlan:
-    """The position field of an axis: position in m = (counts - zero_counts) * m_per_count."""
+    """The position field of an axis. A position in m is (counts - zero_counts) * m_per_count."""
 
     bits: Bits
     report_id: int
     zero_counts: float
-    m_per_count: float
+    m_per_count: tuple[float, float]
+    """The step of one count below and above `zero_counts`: the halves of the travel may have different steps."""
+
+    def position_m(self, counts: float) -> float:
+        """Return the position at a count."""
+        off = counts - self.zero_counts
+        return off * self.m_per_count[bool(off > 0.0)]
+
+    def counts(self, position_m: float) -> float:
+        """Return the count at a position: the inverse of `position_m`."""
+        return self.zero_counts + position_m / self.m_per_count[bool(position_m * self.m_per_count[0] > 0.0)]
+
+    def range_counts(self, low_m: float, high_m: float) -> tuple[int, int]:
+        """Return the smallest and the largest count between two positions."""
+        low, high = sorted((round(self.counts(low_m)), round(self.counts(high_m))))
+        return low, high
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the device does not report this axis, so that the handle does not move along it."""
+        return self.m_per_count[0] == STILL_AXIS_M_PER_COUNT
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,8 +270,8 @@ class Plan:
 
     @property
     def resolution_m(self) -> float:
-        """The position step of one count, in m, of the coarser axis."""
-        return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
+        """The largest position step of one count, in m."""
+        return max(map(abs, (*self.x.m_per_count, *self.y.m_per_count)))
 
     @property
     def leak_text(self) -> str:
@@ -265,8 +285,8 @@ class Plan:
         """For x and y: whether the device has both a position and a force along the axis."""
         steps_n = self.force_steps_n
         return (
-            self.x.m_per_count != STILL_AXIS_M_PER_COUNT and steps_n[0] > 0.0,
-            self.y.m_per_count != STILL_AXIS_M_PER_COUNT and steps_n[1] > 0.0,
+            not self.x.is_still and steps_n[0] > 0.0,
+            not self.y.is_still and steps_n[1] > 0.0,
         )
 
     @property

@@ -45,7 +45,7 @@ class Calibration:
     """Motion of the handle along x and y, in m, by the device's axis along which a force pushed."""
 
 
-class _Pusher:
+class Pusher:
     """Sends forces to a device during a calibration, and reads the positions of its handle."""
 
     def __init__(self, device: Device, plan: Plan, now: Callable[[], float], pause: Callable[[float], None]) -> None:
@@ -81,7 +81,7 @@ class _Pusher:
             data = report if numbered else b"\0" + report
             for place, axis in enumerate((self._plan.x, self._plan.y)):
                 if data[0] == axis.report_id and axis.bits.end <= 8 * (len(data) - 1):
-                    self.position_m[place] = (axis.bits.get(data) - axis.zero_counts) * axis.m_per_count
+                    self.position_m[place] = axis.position_m(axis.bits.get(data))
             for state in self._plan.states:
                 here = data[0] == state.report_id and state.bits.end <= 8 * (len(data) - 1)
                 if here and state.meaning != HidMeaning.RESET:
@@ -140,7 +140,7 @@ def calibrate(
         limit_n = MAX_FORCE_SHARE * hid.full_scale_force_n
         raise ValueError(f"the force must be above 0 and at most {limit_n:g} N, is {force_n:g} N")
     plan = driver.set_up(device)
-    pusher = _Pusher(device, plan, now, pause)
+    pusher = Pusher(device, plan, now, pause)
     half_m = hid.travel_m
     try:
         moved: dict[str, tuple[float, float]] = {}
@@ -166,7 +166,7 @@ def calibrate(
                 )
         return Calibration(_force_axes_of(moved), moved)
     finally:
-        _send_rest(device, plan)
+        send_rest(device, plan)
 
 
 def _single_axis_hint(moved: dict[str, tuple[float, float]]) -> str:
@@ -196,7 +196,7 @@ def _force_axes_of(moved: dict[str, tuple[float, float]]) -> ForceAxes:
     return ForceAxes(x=ForceAxis(sign=signs["x"]), y=ForceAxis(sign=signs.get("y", 1)), swap=moves["x"][0] == "y")
 
 
-def _send_rest(device: Device, plan: Plan) -> None:
+def send_rest(device: Device, plan: Plan) -> None:
     """Send a force of zero, stop every effect, and ignore errors of the device."""
     for report in (*(message.at_rest() for message in plan.force), *(message.data for message in plan.stop)):
         with suppress(DeviceError):

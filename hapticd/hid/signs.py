@@ -43,7 +43,8 @@ STILL_ADVICE: Final = (
 )
 """What the user should do if the handle does not move, and the device does not report why."""
 SIGNS_REMEDY: Final = (
-    "run `hapticd devices calibrate` to find device.hid.force_axes, or set device.hid.signs: trust to skip the check"
+    "run `hapticd devices calibrate` to find device.hid.force_axes, or set device.hid.signs: trust without "
+    "device_version to skip the check"
 )
 
 _log = logging.getLogger("hapticd")
@@ -74,18 +75,36 @@ class Signs:
 class Check:
     """Provides, for each connected device, the parameters of the check whether its forces push the right way."""
 
-    def __init__(self, travel_m: float, full_scale_force_n: float) -> None:
-        """Use half the handle's travel, `travel_m`, and the device's largest force, `full_scale_force_n`."""
+    def __init__(self, travel_m: float, full_scale_force_n: float, trusted_version: int | None = None) -> None:
+        """Use half the handle's travel, `travel_m`, and the device's largest force, `full_scale_force_n`.
+
+        A device of the version `trusted_version` (bcdDevice) is not checked; None: every device is checked.
+        """
         self._travel_m, self._force_n = travel_m, PULSE_FORCE_SHARE * full_scale_force_n
+        self._trusted_version = trusted_version
         self._numbers: dict[str, int] = {}
 
-    def of(self, identity: str, axes: tuple[bool, bool], resolution_m: float) -> Signs | None:
-        """Return the parameters for a device; None if it has no axis with both a position and a force.
+    def why(self, version: int | str | None) -> str | None:
+        """Return why a device that would be trusted is checked: it shows another version. None: it is not another."""
+        if self._trusted_version in (None, version):
+            return None
+        shows = f"0x{version:04x}" if isinstance(version, int) else "none"
+        action = f"set device_version: {shows}" if isinstance(version, int) else "remove device_version"
+        return (
+            f"device.hid.device_version is 0x{self._trusted_version:04x}, the device shows {shows}: "
+            f"its signs are checked before the first force, at each start; if they are right, {action}"
+        )
+
+    def of(
+        self, identity: str, axes: tuple[bool, bool], resolution_m: float, version: int | str | None = None
+    ) -> Signs | None:
+        """Return the parameters for a device; None if it is trusted, or has no axis with both a position and a force.
 
         `axes` says for x and y whether the axis has both; `resolution_m` is the step of positions. Each device has a
         number, which it keeps when it is connected again: the core checks a number only once.
         """
-        if not any(axes):
+        trusted = self._trusted_version is not None and version == self._trusted_version
+        if trusted or not any(axes):
             return None
         number = self._numbers.setdefault(identity, len(self._numbers) + 1)
         least_m = max(MIN_PULSE_MOTION_SHARE * self._travel_m, _MIN_MOTION_ENCODER_STEPS * resolution_m)

@@ -25,9 +25,8 @@ def open_hid(hid: Hid) -> Opened:
     found = choose(hid, find())
     driver, _ = found.verdict.driver_and_plan()
     on_change = True if "reports_on_change" in hid.quirks else False if "reports_steadily" in hid.quirks else None
-    return Opened(
-        HidrawDevice(found.path), driver, found.name, found.out_interval_s, on_change, identity=found.identity
-    )
+    device = HidrawDevice(found.path)
+    return Opened(device, driver, found.name, found.out_interval_s, on_change, identity=found.identity, keys=found.keys)
 
 
 def replay_source(replay: Replay, hid: Hid) -> Source:

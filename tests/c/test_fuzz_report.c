@@ -96,7 +96,9 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         plan.axes[axis].field = take_field(&source, 16);
         plan.axes[axis].report_id = numbered ? 1 + (uint32_t)take_bytes(&source, 1) % 3 : 0;
         plan.axes[axis].zero_counts = take_number(&source);
-        plan.axes[axis].m_per_count = take_number(&source);
+        plan.axes[axis].m_per_count[0] = take_number(&source);
+        plan.axes[axis].m_per_count[1] =
+            source.left % 128 == 0 ? take_number(&source) : 0.5 * plan.axes[axis].m_per_count[0];
     }
     for (uint32_t i = 0; i < plan.state_count && i < HD_HID_STATES; i++) {
         plan.states[i].field = take_field(&source, 16);

@@ -25,8 +25,8 @@
 /* Report 1: x and y, 16 bits, 10 um a count; y grows downwards. Report 2: five states, one bit each. Force: one message
  * an axis, 5 and 6, 100 counts a newton. */
 static const struct hd_hid_plan plan = {
-    .axes = {{.field = {0, 16, 1, 0}, .report_id = 1, .m_per_count = 1e-5},
-             {.field = {16, 16, 1, 0}, .report_id = 1, .m_per_count = -1e-5}},
+    .axes = {{.field = {0, 16, 1, 0}, .report_id = 1, .m_per_count = {1e-5, 1e-5}},
+             {.field = {16, 16, 1, 0}, .report_id = 1, .m_per_count = {-1e-5, -1e-5}}},
     .states = {{{0, 1, 0, 0}, 2, HD_HID_RESET}, {{1, 1, 0, 0}, 2, HD_HID_ACTUATORS}, {{2, 1, 0, 0}, 2, HD_HID_PAUSED}},
     .state_count = 3,
     .force = {.count = 2,

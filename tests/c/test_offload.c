@@ -461,8 +461,8 @@ static int play_over(struct hd_hid *hid, int fd) {
 
 static int connection(void) {
     const struct hd_hid_plan plan = {
-        .axes = {{.field = {0, 16, 1, 0}, .report_id = 1, .m_per_count = 1e-5},
-                 {.field = {16, 16, 1, 0}, .report_id = 1, .m_per_count = -1e-5}},
+        .axes = {{.field = {0, 16, 1, 0}, .report_id = 1, .m_per_count = {1e-5, 1e-5}},
+                 {.field = {16, 16, 1, 0}, .report_id = 1, .m_per_count = {-1e-5, -1e-5}}},
         .states = {{{0, 1, 0, 0}, 2, HD_HID_RESET}},
         .state_count = 1,
         .force = {.count = 1, .messages = {{.length = 2, .bytes = {5, 0}}}},
@@ -504,8 +504,8 @@ static struct hd_table empty_table(void) {
 /* What plays is stopped when the vibration is switched off, as when the forces are. */
 static void without_vibration(void) {
     const struct hd_hid_plan plan = {
-        .axes = {{.field = {0, 16, 1, 0}, .report_id = 1, .m_per_count = 1e-5},
-                 {.field = {16, 16, 1, 0}, .report_id = 1, .m_per_count = -1e-5}},
+        .axes = {{.field = {0, 16, 1, 0}, .report_id = 1, .m_per_count = {1e-5, 1e-5}},
+                 {.field = {16, 16, 1, 0}, .report_id = 1, .m_per_count = {-1e-5, -1e-5}}},
         .on_change = 1,
     };
     const struct hd_servo_config config = {.stream_timeout_s = 0.02,

@@ -189,8 +189,8 @@ static void directions(void) {
 static struct hd_hid_plan plan_of(uint32_t x_id, uint32_t y_id) {
     struct hd_hid_plan plan = {.state_count = 2, .renew_ns = 1000000, .write_interval_ns = 1000};
 
-    plan.axes[0] = (struct hd_hid_axis){{0, 10, 1, 0}, x_id, 0, 0.0, 1e-4};
-    plan.axes[1] = (struct hd_hid_axis){{10, 10, 0, 0}, y_id, 0, 512.0, -1e-4};
+    plan.axes[0] = (struct hd_hid_axis){{0, 10, 1, 0}, x_id, 0, 0.0, {1e-4, 1e-4}};
+    plan.axes[1] = (struct hd_hid_axis){{10, 10, 0, 0}, y_id, 0, 512.0, {-1e-4, -1e-4}};
     plan.states[0] = (struct hd_hid_state){{20, 1, 0, 0}, y_id, HD_HID_RESET};
     plan.states[1] = (struct hd_hid_state){{21, 1, 0, 0}, y_id, HD_HID_POWER};
     plan.force.count = 1;
@@ -223,6 +223,14 @@ static void input(void) {
     CHECK(news.axes == 3 && !news.short_of_it);
     CHECK(fabs(news.position_m[0] + 0.03) < 1e-15 && fabs(news.position_m[1] - 0.0012) < 1e-15);
     CHECK(news.said == (1u | 1u << (HD_HID_POWER - 1)) && news.states == 1u << (HD_HID_POWER - 1));
+    plan.axes[0].m_per_count[0] = 2e-4; /* below zero_counts alone */
+    plan.axes[1].m_per_count[0] = -3e-4;
+    hd_report_take(&plan, report, 4, &news);
+    CHECK(fabs(news.position_m[0] + 0.06) < 1e-15 && fabs(news.position_m[1] - 0.0036) < 1e-15);
+    CHECK(hd_bits_put(&plan.axes[0].field, report, 4, 300) == HD_OK);
+    CHECK(hd_bits_put(&plan.axes[1].field, report, 4, 512) == HD_OK);
+    hd_report_take(&plan, report, 4, &news);
+    CHECK(fabs(news.position_m[0] - 0.03) < 1e-15 && fabs(news.position_m[1]) <= 0.0);
     for (size_t length = 0; length < 4; length++) {
         hd_report_take(&plan, report, length, &news);
         CHECK(news.short_of_it && news.axes == 0 && news.said == 0);
@@ -265,8 +273,10 @@ static void refusals(void) {
     REFUSES(plan.axes[1].report_id = 0);
     REFUSES(plan.axes[1].report_id = 256);
     REFUSES(plan.axes[0].field.bit_offset = 8 * 255);
-    REFUSES(plan.axes[0].m_per_count = 0.0);
-    REFUSES(plan.axes[0].m_per_count = (double)NAN);
+    REFUSES(plan.axes[0].m_per_count[0] = 0.0);
+    REFUSES(plan.axes[0].m_per_count[1] = 0.0);
+    REFUSES(plan.axes[0].m_per_count[1] = (double)NAN);
+    REFUSES(plan.axes[0].m_per_count[1] = -1e-4);
     REFUSES(plan.axes[0].zero_counts = (double)INFINITY);
     REFUSES(plan.state_count = HD_HID_STATES + 1);
     REFUSES(plan.states[0].meaning = 6);

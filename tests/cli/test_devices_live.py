@@ -11,10 +11,12 @@ import pytest
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
-from hapticd.hid import discovery, sources
+from hapticd.hid import discovery, range_calibration, sign_calibration, sources
 from hapticd.hid.connection import Opened
 from hapticd.hid.discovery import SysfsDevice
 from hapticd.hid.drivers.pid import PidDriver
+from hapticd.hid.plan import DeviceError
+from hapticd.hid.range_calibration import MeasuredRange
 from hapticd.hid.verdict import Verdict, verdict_of
 from tests.support.hid_descriptors import Joystick
 from tests.support.hid_device import FakePid
@@ -108,23 +110,72 @@ def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     assert "2 devices are 1209:5aff; name one by its path: /dev/hidraw0" in capsys.readouterr().err
 
 
-def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    from hapticd.hid import sign_calibration as module
+def calibrated(monkeypatch: pytest.MonkeyPatch, found: MeasuredRange | Exception) -> tuple[FakePid, ForceAxes]:
+    """Make `devices calibrate` open a device, and find these directions and this range."""
+    stick, axes = FakePid(STICK), ForceAxes(x=ForceAxis(sign=-1), swap=True)
+    keys: dict[str, int | str] = {"vendor": 0x1209, "product": 0x5AFF, "serial": "A1", "device_version": 0x0107}
 
-    stick = FakePid(STICK)
-    axes = ForceAxes(x=ForceAxis(sign=-1), swap=True)
-    monkeypatch.setattr(
-        sources, "open_hid", lambda hid: Opened(stick.device, PidDriver(stick.layout, hid), "Lab stick")
-    )
-    monkeypatch.setattr(module, "calibrate", lambda *_: module.Calibration(axes, {}))
+    def opened(hid: Hid) -> Opened:
+        assert hid.axes.x.counts is None and hid.axes.y.counts is None and hid.force_axes == ForceAxes()
+        return Opened(stick.device, PidDriver(stick.layout, hid), "Lab stick", keys=keys)
+
+    def measured(*_: object) -> MeasuredRange:
+        if isinstance(found, MeasuredRange):
+            return found
+        raise found
+
+    monkeypatch.setattr(sources, "open_hid", opened)
+    monkeypatch.setattr(sign_calibration, "calibrate", lambda *_: sign_calibration.Calibration(axes, {}))
+    monkeypatch.setattr(range_calibration, "measure_range", measured)
+    return stick, axes
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [(KeyboardInterrupt(), 130, ""), (DeviceError("the device is gone"), 1, "hapticd: the device is gone\n")],
+    ids=["ctrl-c", "unplugged"],
+)
+def test_a_range_that_was_not_measured_loses_nothing_else(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    error: Exception,
+    code: int,
+    said: str,
+) -> None:
+    stick, axes = calibrated(monkeypatch, error)
+    config, out = tmp_path / "stick.yaml", tmp_path / "calibrated.yaml"
+    config.write_text("device: {kind: hid, hid: {axes: {x: {counts: [1, 2, 3]}}}}\n")
+    assert main(["devices", "calibrate", "-c", str(config), "-o", str(out), "--yes"]) == code
+    seen = capsys.readouterr()
+    assert seen.out == out.read_text() and seen.err.endswith(said)
+    hid = load_config(out).device.hid
+    assert hid.force_axes == axes and hid.axes.x.counts == (1, 2, 3) and hid.signs == "trust"
+    assert stick.device.closed
+    stick.close()
+
+
+def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    stick, axes = calibrated(monkeypatch, MeasuredRange((-30000, 5, 31000), None, ("axis y was hardly moved",)))
     config = tmp_path / "stick.yaml"
-    config.write_text("device: {kind: hid, hid: {vendor: 0x1209, travel_m: 0.04}}\n")
+    known = "axes: {x: {counts: [1, 2, 3]}, y: {counts: [-4, 5, 6]}}, device_version: 1, product: 0x5aff"
+    config.write_text(f"device: {{kind: hid, hid: {{vendor: 0x1209, travel_m: 0.04, {known}}}}}\n")
     out = tmp_path / "calibrated.yaml"
     assert main(["devices", "calibrate", "-c", str(config), "-o", str(out), "--yes"]) == 0
-    assert capsys.readouterr().out == out.read_text()
+    seen = capsys.readouterr()
+    assert seen.out == out.read_text() and "hapticd: axis y was hardly moved\n" in seen.err
     read = load_config(out).device
     assert read.kind == "hid"
-    assert read.hid == Hid(vendor=0x1209, travel_m=0.04, force_axes=axes)
+    # The device's own version takes the place of the old one; the counts that were not measured are kept.
+    assert read.hid == Hid(
+        vendor=0x1209,
+        product=0x5AFF,
+        serial="A1",
+        device_version=0x0107,
+        travel_m=0.04,
+        force_axes=axes,
+        axes={"x": {"counts": [-30000, 5, 31000]}, "y": {"counts": [-4, 5, 6]}},
+    )
     assert stick.device.closed
     assert [item.name for item in tmp_path.iterdir() if item not in (config, out)] == []
     # Existing files are kept, and no handle moves if the file cannot be written.

@@ -142,7 +142,7 @@ def test_the_status_has_the_check_of_signs_and_the_remedy() -> None:
         (
             "",
             "a force along x moves the handle along y: run `hapticd devices calibrate` to find device.hid.force_axes, "
-            "or set device.hid.signs: trust to skip the check",
+            "or set device.hid.signs: trust without device_version to skip the check",
         ),
     ]
     assert ("signs", "wrong") in shown
@@ -173,7 +173,7 @@ def test_force_on_reports_a_pending_check_of_signs(tmp_path: Path, capsys: pytes
         assert capsys.readouterr().err == (
             "hapticd: forces are off because a force along x moves the handle the other way: "
             "run `hapticd devices calibrate` to find device.hid.force_axes, "
-            "or set device.hid.signs: trust to skip the check\n"
+            "or set device.hid.signs: trust without device_version to skip the check\n"
         )
 
 

@@ -62,15 +62,16 @@ def shown_number(value: float) -> str:
     return np.format_float_positional(value, trim="-")
 
 
-def numbers() -> Iterator[tuple[str, str, Schema, bool]]:
+def numbers() -> Iterator[tuple[str, str, Schema, int]]:
+    """Yield model, key, limits and, for a list of numbers, its length; otherwise 0."""
     for name, model in models().items():
         for key, described in mapping(model["properties"]).items():
             property_ = sound(mapping(described))
             items = property_.get("prefixItems")
             if isinstance(items, list):
-                yield name, key, mapping(items[0]), True
+                yield name, key, mapping(items[0]), len(items)
             elif property_.get("type") in ("number", "integer") and "enum" not in property_:
-                yield name, key, property_, False
+                yield name, key, property_, 0
 
 
 def faults_of_key(model: str, key: str, value: Json) -> list[str]:
@@ -86,15 +87,16 @@ def faults_of_key(model: str, key: str, value: Json) -> list[str]:
 NUMBERS = list(numbers())
 
 
-@pytest.mark.parametrize(("model", "key", "limits", "is_vector"), NUMBERS, ids=[f"{n[0]}.{n[1]}" for n in NUMBERS])
-def test_every_number_is_strict_and_has_limits(model: str, key: str, limits: Schema, is_vector: bool) -> None:
+@pytest.mark.parametrize(("model", "key", "limits", "length"), NUMBERS, ids=[f"{n[0]}.{n[1]}" for n in NUMBERS])
+def test_every_number_is_strict_and_has_limits(model: str, key: str, limits: Schema, length: int) -> None:
     low, high = limits["minimum"], limits["maximum"]
     assert isinstance(low, int | float)
     assert isinstance(high, int | float)
     assert low < high
 
     def problems(value: Json) -> list[str]:
-        return faults_of_key(model, key, [value, 0.5] if is_vector else value)
+        others: list[Json] = [1 if limits["type"] == "integer" else 0.5] * (length - 1)
+        return faults_of_key(model, key, [value, *others] if length else value)
 
     assert problems(low) == problems(high) == []
     below, above = low - 1, high + 1

@@ -104,6 +104,45 @@ def test_resets_are_seen_as_far_as_reports_can_name_our_effects(machine: Machine
     assert [found.resets_seen for found in machine.find()] == [True, False, None]
 
 
+@pytest.mark.parametrize(
+    ("bus", "bcd_device", "of_input", "version"),
+    [
+        (3, "0107", "0111", 0x0107),  # the input node has the version of the HID specification
+        (3, None, None, None),
+        (3, "wrong", None, None),
+        (5, None, "011b", 0x011B),
+        (5, None, None, None),
+    ],
+)
+def test_versions(
+    machine: Machine, bus: int, bcd_device: str | None, of_input: str | None, version: int | None
+) -> None:
+    machine.add(0, serial="A1", bus=bus)
+    device = (machine.sysfs / "hidraw0" / "device").resolve()
+    if bcd_device is not None:
+        (device.parent.parent / "bcdDevice").write_text(f"{bcd_device}\n")
+    if of_input is not None:
+        (device / "input/input7/id").mkdir(parents=True)
+        (device / "input/input7/id/version").write_text(f"{of_input}\n")
+    (found,) = machine.find()
+    assert found.version == found.to_dict()["version"] == version
+    keys = {"vendor": 0x1209, "product": 0x5AFF, "serial": "A1"}
+    assert found.keys == (keys if version is None else {**keys, "device_version": version})
+    assert Hid.model_validate(found.keys).device_version == version
+    machine.choose(**found.keys | {"device_version": 1})  # selects no device: another version is driven, and checked
+
+
+def test_another_version_is_another_device(machine: Machine) -> None:
+    machine.add(0)
+    version = machine.dev.parent / "devices" / "bcdDevice"
+    version.write_text("0107\n")
+    before = machine.find()[0]
+    version.write_text("0108\n")
+    assert machine.find()[0].identity != before.identity
+    version.write_text("0107\n")
+    assert machine.find()[0].identity == before.identity
+
+
 def test_microsecond_intervals(machine: Machine) -> None:
     machine.add(0, endpoints=(("out", "125us"),))
     assert machine.find()[0].out_interval_s == pytest.approx(125e-6)

@@ -25,7 +25,7 @@ def new_plan() -> CData:
     for axis in range(2):
         plan.axes[axis].field = {"bit_offset": 16 * axis, "bit_size": 16, "is_signed": 1}
         plan.axes[axis].report_id = 1
-        plan.axes[axis].m_per_count = 1e-4
+        plan.axes[axis].m_per_count = (1e-4, 1e-4)
     plan.states[0].field = {"bit_offset": 1, "bit_size": 1}
     plan.states[0].report_id = 2
     plan.states[0].meaning = HidMeaning.ACTUATORS

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from hapticd.base.core import ffi, lib
+from hapticd.base.errors import InvalidError
 from hapticd.config.hid import Hid
 from hapticd.hid.descriptor.layout import Layout, layout_of
 from hapticd.hid.descriptor.parser import parse
@@ -286,11 +287,62 @@ def test_effects_numbered_by_the_device() -> None:
         assert stick.effects[8].magnitude == 10000
 
 
+def test_positions_in_a_measured_range() -> None:
+    """The recording of a stick that reports -327..396 of -512..511 and rests at 20; HID's Y grows towards the user."""
+    axes = {"y": {"counts": [-327, 20, 396]}}
+    with joystick(Joystick(axis_range=(-512, 511), axis_bits=10)) as stick:
+        plan = driver(stick, travel_m=0.06, axes=axes).set_up(stick.device)
+    ends_m = [plan.y.position_m(counts) for counts in (-327, 20, 396)]
+    assert ends_m == pytest.approx([0.06, 0.0, -0.06], abs=1e-15) and plan.y.position_m(20) == 0.0
+    # Each half has its own slope, also beyond the ends.
+    assert plan.y.position_m(-327 - 347) == pytest.approx(0.12) and plan.y.position_m(208) == pytest.approx(-0.03)
+    assert [plan.y.counts(at_m) for at_m in (0.06, 0.03, 0.0, -0.06)] == pytest.approx([-327, -153.5, 20, 396])
+    assert plan.resolution_m == pytest.approx(0.06 / 347), "the coarser half"
+    assert plan.x.m_per_count == (0.06 / 511.5,) * 2
+
+
+@pytest.mark.parametrize(
+    ("counts", "message"),
+    [
+        ([-600, 20, 396], "device.hid.axes.y.counts: must lie within -512 to 511, the range of the device's axis Y"),
+        ([-327, 20, 512], r"are \[-327, 20, 512\]"),
+        ([-1, 0, 1], "with at least 16 on each side of the middle"),
+        ([-512, -511, 511], "with at least 16 on each side of the middle"),
+        ([0, 2048, 4095], "must lie within -512 to 511"),
+    ],
+)
+def test_counts_that_the_device_cannot_report(counts: list[int], message: str) -> None:
+    like = Joystick(axis_range=(-512, 511), axis_bits=10)
+    with joystick(like) as stick, pytest.raises(DeviceError, match=message) as caught:
+        driver(stick, axes={"y": {"counts": counts}})
+    assert "\n" not in str(caught.value)
+
+
+def test_counts_of_an_axis_that_the_device_lacks() -> None:
+    axes = {"y": {"counts": [0, 100, 200]}}
+    with joystick(Joystick(axes=(0x30,), force_axes=(0x30,))) as stick:
+        assert driver(stick).set_up(stick.device).y.is_still
+        with pytest.raises(DeviceError, match=r"device\.hid\.axes\.y\.usage: the device has no axis Y; it has X"):
+            driver(stick, axes=axes)
+
+
+@pytest.mark.parametrize("counts", [[396, 20, -327], [-327, -327, 396], [-327, 396, 396], [-327, 400, 396]])
+def test_counts_that_do_not_increase(counts: list[int]) -> None:
+    with pytest.raises(InvalidError, match=r"axes.y: counts must increase: low, middle, high, are \["):
+        Hid(axes={"y": {"counts": counts}})
+
+
+def test_counts_keep_the_other_keys_of_an_axis() -> None:
+    assert Hid(axes={"y": {"counts": [1, 2, 3]}}).axes.y.sign == -1
+    y = Hid(axes={"y": {"usage": "Rz", "counts": [1, 2, 3]}}).axes.y
+    assert (y.usage, y.sign) == ("Rz", 1)
+
+
 def test_positions() -> None:
     with joystick(Joystick(axis_range=(0, 1023), axis_bits=10)) as stick:
         plan = driver(stick, travel_m=0.06).set_up(stick.device)
         for axis, sign in ((plan.x, 1), (plan.y, -1)):
-            metres = [(counts - axis.zero_counts) * axis.m_per_count for counts in (0, 511.5, 1023)]
+            metres = [axis.position_m(counts) for counts in (0, 511.5, 1023)]
             assert metres == pytest.approx([-sign * 0.06, 0.0, sign * 0.06], abs=1e-12)
         assert plan.x.bits.get(b"\x01\xff\x03\x00") == 1023
         assert plan.resolution_m == pytest.approx(0.12 / 1023)

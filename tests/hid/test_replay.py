@@ -21,6 +21,7 @@ from hapticd.daemon.engine import Engine
 from hapticd.hid.plan import DeviceError
 from hapticd.hid.replay import Recording, ReplayDevice, load, record, save
 from hapticd.hid.sources import replay_source
+from hapticd.hid.verdict import verdict_of
 from tests.support.hid_descriptors import Joystick
 
 STICK = bytes(Joystick())
@@ -167,6 +168,48 @@ def test_configuration() -> None:
     with pytest.raises(InvalidError) as caught:
         load_config({"device": {"kind": "replay"}})
     assert str(caught.value) == "device: kind replay needs device.replay.path, a recording of `hapticd devices dump`"
+
+
+def test_an_engine_takes_the_measured_range_of_a_recorded_stick(path: str) -> None:
+    """The stick reports -327..396 of -512..511 and rests at 20: without counts it rests 2.4 mm inside the floor."""
+    descriptor = bytes(Joystick(axis_range=(-512, 511), axis_bits=10))
+    plan = verdict_of(Hid(), descriptor).plan
+    assert plan is not None
+
+    def seen(y: int) -> bytes:
+        data = bytearray(b"\x01\0\0\0\0\0\0\0")
+        plan.y.bits.put(data, y)
+        return bytes(data)
+
+    way = [20, -327, 20, 396]
+    reports = tuple((0.005 * n, seen(way[n % 4])) for n in range(40))
+    save(path, Recording("stick", 0x45E, 0x1B, descriptor, reports), False)
+    config = {
+        "servo": {"realtime": "off", "rate_hz": 1000},
+        "device": {
+            "kind": "replay",
+            "replay": {"path": path, "loop": True},
+            "max_speed_m_per_s": 100,
+            "hid": {"travel_m": 0.06, "axes": {"y": {"counts": [-327, 20, 396]}}},
+        },
+        "scene": {"objects": {"floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}}},
+    }
+    engine = Engine(load_config(config))
+    engine.start()
+    room, taken = records(SAMPLE_DTYPE, 16384), records(SAMPLE_DTYPE, 0)
+    try:
+        pause, deadline = threading.Event(), time.monotonic() + 60
+        while not {-0.06, 0.0, 0.06} <= set(taken["position_m"][:, 1].round(12)):
+            assert time.monotonic() < deadline
+            engine.beat()
+            count, _ = engine.read_samples(room)
+            taken = np.concatenate([taken, room[:count].copy()])
+            pause.wait(0.01)
+    finally:
+        engine.stop()
+    y_m, force_n = taken["position_m"][:, 1], taken["contact_force_n"][:, 1]
+    assert set(y_m.round(12)) == {-0.06, 0.0, 0.06}
+    assert (force_n[y_m == 0.0] == 0.0).all() and force_n.max() > 0.0
 
 
 def test_an_engine_follows_a_recording(path: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,13 +21,16 @@ from hapticd.config.hid import Hid
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import Methods
 from hapticd.daemon.refusal import MethodError
+from hapticd.daemon.status_text import lines
+from hapticd.daemon.telemetry import Telemetry
+from hapticd.hid import handle_use
 from hapticd.hid.connection import Opened
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
 from hapticd.recording.replay import replay
 from hapticd.rendering.offline import Rerun
-from tests.hid.test_connection import COUNTS, FULL_N, STIFFNESS, TRAVEL_M, World
+from tests.hid.test_connection import COUNTS, FLOOR, FULL_N, STIFFNESS, TRAVEL_M, World
 from tests.recording.test_replay import write
 from tests.support import firmware_descriptors as descriptors
 from tests.support.firmware import ARDUINO, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
@@ -345,6 +348,116 @@ def test_a_device_that_is_trusted_pushes_at_once(world: Sprung, trusted: dict[st
     world.until(lambda: (world.collect(), world.samples["force_n"][-1, 1] > 0.5 * 0.004 * STIFFNESS)[1])
     assert not world.checked().any()
     assert signs_of(engine)["state"] == "trusted"
+
+
+class _Unheard:
+    """A publisher without subscribers."""
+
+    def wants(self, topic: str) -> bool:
+        return False
+
+
+@pytest.mark.parametrize("enabled", [True, False], ids=["forces on", "forces off"])
+def test_a_handle_that_rests_inside_a_wall_is_reported(
+    world: Sprung, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, enabled: bool
+) -> None:
+    """The check of signs would wait for ever that somebody moves the handle away and lets go of it."""
+    monkeypatch.setattr(handle_use, "MIN_REST_S", 0.05)
+    world.config["scene"] = FLOOR
+    world.plug()
+    world.hold(0.003)
+    engine = world.start()
+    telemetry = Telemetry(engine, cast(Any, _Unheard()), dict)
+    if enabled:
+        engine.set_forces(True)
+
+    def warned() -> list[str]:
+        telemetry._drain()
+        telemetry._send_samples()
+        return list(Methods(engine).call("get_status", {})["connection"]["warnings"])
+
+    problem = "contact" if enabled else None
+    world.until(lambda: bool(warned()) and signs_of(engine)["problem"] == problem)
+    (line,) = warned()
+    assert line.startswith("the handle rests at x 0.0 mm, y -3.0 mm, inside floor, which pushes it with 2.4 N: ")
+    assert caplog.messages.count(line) == 1
+    assert ("warning", line) in list(lines(Methods(engine).call("get_status", {})))
+
+
+class Updated(Flashed):
+    """A simulated firmware of a certain version. The configuration has the signs of version 0x0107."""
+
+    version: int | None = 0x0108
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__(monkeypatch)
+        self.hid = {"renew_s": 0.1, "effect_duration_s": 0.25, "device_version": 0x0107}
+        self.hid["force_axes"] = {"x": {"sign": 1}, "y": {"sign": 1}}
+
+    def open(self) -> Opened:
+        keys: dict[str, int | str] = {} if self.version is None else {"device_version": self.version}
+        return replace(super().open(), keys=keys, identity=str(self.version))
+
+    def poll(self) -> str:
+        assert self.engine is not None
+        self.engine.poll_servo()
+        return str(signs_of(self.engine)["state"])
+
+
+@pytest.fixture
+def updated(monkeypatch: pytest.MonkeyPatch) -> Iterator[Updated]:
+    made = Updated(monkeypatch)
+    yield made
+    made.close()
+
+
+@pytest.mark.long
+def test_signs_that_an_update_turned_round_are_noticed(updated: Updated, caplog: pytest.LogCaptureFixture) -> None:
+    """Trusted, the wall would pull the hand in with half of the full force."""
+    firmware = updated.flash(descriptors.SIDEWINDER_FF2, Variant(signs=(1, -1)))
+    engine = updated.start()
+    assert signs_of(engine)["state"] == "unchecked"
+    engine.set_forces(True)
+    updated.comes_to(SignsState.WRONG)
+    updated.until(lambda: Fault.SIGNS in engine.counters().faults)
+    updated.collect()
+    assert np.abs(updated.samples["force_n"]).max() <= 0.1 * FULL_N * (1 + 1e-9), "never more than the check's force"
+    engine.poll_servo()
+    why = "device.hid.device_version is 0x0107, the device shows 0x0108: its signs are checked before the first force"
+    assert any(why in line for line in caplog.messages)
+    assert any(why in line for line in Methods(engine).call("get_status", {})["connection"]["warnings"])
+    assert any("the other way" in line for line in caplog.messages)
+    assert firmware.force() == (0.0, 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("version", "action"), [(0x0108, "set device_version: 0x0108"), (None, "remove device_version")]
+)
+def test_an_update_that_leaves_the_signs_as_they_are(updated: Updated, version: int | None, action: str) -> None:
+    updated.version = version
+    updated.flash(descriptors.SIDEWINDER_FF2, Variant())
+    engine = updated.start()
+    engine.set_forces(True)
+    updated.comes_to(SignsState.RIGHT)
+    (line,) = Methods(engine).call("get_status", {})["connection"]["warnings"]
+    assert line.endswith(f"if they are right, {action}")
+
+
+@pytest.mark.parametrize(
+    ("version", "keys"),
+    [(0x0107, {}), (0x0108, {"device_version": None}), (None, {"device_version": None})],
+    ids=["the same version", "no version was kept", "neither has one"],
+)
+def test_a_version_that_is_no_other(updated: Updated, version: int | None, keys: dict[str, Any]) -> None:
+    updated.version = version
+    updated.hid |= keys
+    updated.flash(descriptors.SIDEWINDER_FF2, Variant())
+    engine = updated.start()
+    engine.set_forces(True)
+    updated.until(lambda: updated.poll() == "trusted")
+    connection = Methods(engine).call("get_status", {})["connection"]
+    assert connection["warnings"] == [] and connection["device_version"] == version
 
 
 def test_when_signs_are_checked_or_trusted() -> None:

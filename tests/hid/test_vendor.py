@@ -95,12 +95,22 @@ def faults(report: dict[str, Any]) -> dict[str, str]:
     return {problem.where: problem.problem for problem in caught.value.problems}
 
 
+def test_counts_of_axes_are_those_of_the_report() -> None:
+    message = "axes: counts are not used with report, whose input has counts_per_m and zero_counts"
+    with pytest.raises(InvalidError, match=message):
+        Hid(report=REPORT, axes={"x": {"counts": [1, 2, 3]}})
+
+
 def test_enable_sequence_and_plan() -> None:
     recorder = Recorder()
     plan = VendorDriver(hid(REPORT), DESCRIPTOR).set_up(recorder)
     assert recorder.sent == [("output", "02010000000000"), ("feature", "0301")]
     assert [message.data.hex() for message in plan.stop] == ["02000000000000"]
-    assert plan.x.m_per_count == 1 / 400000 and plan.y.m_per_count == -1 / 400000 and plan.y.zero_counts == 100
+    assert (
+        plan.x.m_per_count == (1 / 400000,) * 2
+        and plan.y.m_per_count == (-1 / 400000,) * 2
+        and plan.y.zero_counts == 100
+    )
     assert plan.force[0].at_rest() == bytes.fromhex("02 0000 00 80 0000")
 
 
@@ -149,7 +159,7 @@ def test_a_single_axis_stays_where_it_is_along_the_other() -> None:
     report = copy.deepcopy(REPORT)
     del report["input"]["y"], report["output"]["y"]
     plan = plan_of(hid(report), hid(report).report or pytest.fail())
-    assert plan.y.m_per_count == STILL_AXIS_M_PER_COUNT and len(plan.force[0].values) == 1
+    assert plan.y.m_per_count == (STILL_AXIS_M_PER_COUNT,) * 2 and len(plan.force[0].values) == 1
 
 
 @pytest.mark.parametrize(

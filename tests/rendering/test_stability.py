@@ -571,7 +571,7 @@ def test_an_unknown_handle_is_reported_and_not_assumed() -> None:
 
 
 def test_the_steps_of_a_devices_forces_are_those_of_its_numbers() -> None:
-    axis = AxisPlan(Bits(0, 16, True, False), 0, 0.0, 1e-5)
+    axis = AxisPlan(Bits(0, 16, True, False), 0, 0.0, (1e-5, 1e-5))
     values = tuple(
         Value(Bits(0, 16, True, False), quantity, counts, 0.0, -32767.0, 32767.0)
         for quantity, counts in ((HidQuantity.X, 100.0), (HidQuantity.Y, -50.0), (HidQuantity.DIRECTION, 1.0))

@@ -322,7 +322,7 @@ def check_plan(reports: Reports, plan: Plan, *, endless: bool) -> None:
         endless=endless,
     )
     for axis in (plan.x, plan.y):
-        assert math.isfinite(axis.zero_counts) and math.isfinite(axis.m_per_count) and axis.m_per_count
+        assert math.isfinite(axis.zero_counts) and all(math.isfinite(step) and step for step in axis.m_per_count)
     assert plan.renew_s > 0.0 and all(math.isfinite(step) for step in plan.force_steps_n)
 
 

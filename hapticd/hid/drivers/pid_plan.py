@@ -20,6 +20,7 @@ from typing import Final, Literal
 
 from hapticd.base.core import HidMeaning, HidQuantity
 from hapticd.config.hid import HandleAxis, Hid
+from hapticd.hid.descriptor.fields import MIN_AXIS_COUNTS
 from hapticd.hid.descriptor.layout import Axis, Layout
 from hapticd.hid.drivers.pid_reports import (
     Effect,
@@ -109,8 +110,8 @@ def schemes_of(layout: Layout, hid: Hid) -> tuple[Scheme, ...]:
 def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
     """Return the position fields of the handle's axes x and y. Raises DeviceError if the device lacks one of them."""
     x = _axis(layout, hid.axes.x, "x", hid)
-    if has_one_axis(layout, hid) and hid.axes.y.usage.lower() not in layout.input:
-        return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_AXIS_M_PER_COUNT)
+    if has_one_axis(layout, hid) and hid.axes.y.usage.lower() not in layout.input and hid.axes.y.counts is None:
+        return x, AxisPlan(x.bits, x.report_id, x.zero_counts, (STILL_AXIS_M_PER_COUNT,) * 2)
     return x, _axis(layout, hid.axes.y, "y", hid)
 
 
@@ -120,9 +121,15 @@ def _axis(layout: Layout, axis: HandleAxis, name: str, hid: Hid) -> AxisPlan:
         known = ", ".join(usage.capitalize() for usage in layout.input)
         raise DeviceError(f"device.hid.axes.{name}.usage: the device has no axis {axis.usage}; it has {known}")
     field = found.field
-    half = (field.logical_max - field.logical_min) / 2.0
-    middle = field.logical_min + half
-    return AxisPlan(bits_of(field), field.report_id, middle, axis.sign * hid.travel_m / half)
+    first, last = field.logical_min, field.logical_max
+    low, middle, high = axis.counts or (first, (first + last) / 2.0, last)
+    if axis.counts and (low < first or high > last or min(middle - low, high - middle) < MIN_AXIS_COUNTS // 2):
+        raise DeviceError(
+            f"device.hid.axes.{name}.counts: must lie within {first} to {last}, the range of the device's axis "
+            f"{axis.usage}, with at least {MIN_AXIS_COUNTS // 2} on each side of the middle, are {list(axis.counts)}"
+        )
+    travel_m = axis.sign * hid.travel_m
+    return AxisPlan(bits_of(field), field.report_id, middle, (travel_m / (middle - low), travel_m / (high - middle)))
 
 
 def effects_of(scheme: Scheme, hid: Hid) -> tuple[Effect, ...]:

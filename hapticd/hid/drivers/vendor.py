@@ -65,9 +65,8 @@ def plan_of(hid: Hid, report: VendorReport) -> Plan:
 
 
 def _axis(axis: VendorInputAxis, report_id: int, still: bool = False) -> AxisPlan:
-    return AxisPlan(
-        _bits(axis), report_id, axis.zero_counts, STILL_AXIS_M_PER_COUNT if still else 1.0 / axis.counts_per_m
-    )
+    m_per_count = STILL_AXIS_M_PER_COUNT if still else 1.0 / axis.counts_per_m
+    return AxisPlan(_bits(axis), report_id, axis.zero_counts, (m_per_count, m_per_count))
 
 
 def _bits(axis: VendorBits) -> Bits:
