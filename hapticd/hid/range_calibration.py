@@ -19,7 +19,7 @@ SHORT_STILL_TIME_S: Final = 2.5
 """The measurement ends once the handle was still for this time, away from the ends of its range."""
 LONG_STILL_TIME_S: Final = 8.0
 """The measurement also ends once the handle was still for this time, wherever it is."""
-_STILL_SHARE: Final = 1.0 / 400.0
+_STILL_SHARE: Final = 0.01
 """A handle is still while it moves by no more than this fraction of the axis' range in the report descriptor."""
 _STILL_COUNTS: Final = 2.0
 """A handle is also still while it moves by no more than this number of counts."""

@@ -88,6 +88,20 @@ def test_an_outlier_and_noise_do_not_widen_the_range() -> None:
     assert found.y is not None and found.y == pytest.approx((-327, 20, 396), abs=1)
 
 
+def test_a_noisy_potentiometer_comes_to_rest() -> None:
+    """Its counts of 10 bits change by up to 4 either way while nobody holds the handle."""
+
+    def hand(t_s: float) -> Counts:
+        x, y = swept(t_s)
+        tick = round(100 * t_s)
+        return x + 7 * tick % 9 - 4, y + 5 * tick % 9 - 4
+
+    table = Table(hand)
+    found = table.measure()
+    assert found.x == pytest.approx((-400, 3, 450), abs=4) and found.y == pytest.approx((-327, 20, 396), abs=4)
+    assert table.time_s < 20.0, "some seconds after it was let go"
+
+
 def test_a_device_that_reports_only_changes() -> None:
     last: list[Counts] = []
 
