@@ -20,7 +20,7 @@ _OWN_MODULES: Final = (__package__, "contextlib")
 class Owner:
     """The process that created a client. A forked child has the client's sockets, but not the threads that serve them.
 
-    The sockets of asyncio are not even to be closed in the child: it shares the epoll object of the parent's event loop.
+    The child must not even close sockets of asyncio: it shares the epoll object of the parent's event loop.
     """
 
     def __init__(self) -> None:

@@ -130,10 +130,10 @@ class Recording:
 
         Uses the clocks at the start, else those at the end. Raises HapticdError if the file lacks both.
         """
-        moment = self.started or self.ended
+        moment = self._clocks
         if moment is None:
             raise HapticdError(f"{self.path}: holds no time of day")
-        times = self.samples["time_ns"].astype(np.int64) + (moment.realtime_ns - moment.monotonic_ns)
+        times = self.samples["time_ns"].astype(np.int64) + moment.utc_offset_ns
         return times.view("M8[ns]")
 
     def to_pandas(self) -> DataFrame:
@@ -153,7 +153,8 @@ class Recording:
         target = Path(path)
         check_saved(target, overwrite)
         if target.suffix.lower() != ".npz":
-            export(self.samples, self.events, self.texts, target, overwrite)
+            offset_ns = 0 if self._clocks is None else self._clocks.utc_offset_ns
+            export(self.samples, self.events, self.texts, offset_ns, target, overwrite)
             return target
         with RecordingWriter(target, overwrite) as writer:
             last = {name: self.texts[name] for name in ("recording", "flight") if name in self.texts}
@@ -163,6 +164,11 @@ class Recording:
         if writer.displaced:
             raise HapticdError(displaced(path, writer.target))
         return target
+
+    @property
+    def _clocks(self) -> Moment | None:
+        """Times of the daemon's clocks from which UTC is computed for the whole recording."""
+        return self.started or self.ended
 
     @property
     def _about(self) -> dict[str, Any]:

@@ -64,7 +64,11 @@ class Parent:
         self.samples = stack.enter_context(self.client.samples())
         next(self.samples)
         self.newest = stack.enter_context(self.client.states(newest=True))
-        self.lease, self.recording, self.stream = self.client.hold_lease(5.0), self.client.record(file), self.client.stream()
+        self.lease, self.recording, self.stream = (
+            self.client.hold_lease(5.0),
+            self.client.record(file),
+            self.client.stream(),
+        )
         stack.enter_context(self.lease)
         stack.enter_context(self.recording)
         stack.enter_context(self.stream)
@@ -97,10 +101,7 @@ def parent(daemon: Daemon, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         lambda parent: parent.lease.__exit__(None, None, None),
         lambda parent: parent.recording.__exit__(None, None, None),
     ],
-    ids=(
-        "call mark wait_gesture hold_lease queued_item next_item receive newest stream new_stream "
-        "end_of_stream end_of_lease end_of_recording"
-    ).split(),
+    ids=["call", "mark", "wait_gesture", "hold_lease", "queued_item", "next_item", "receive", "newest", "stream", "new_stream", "end_of_stream", "end_of_lease", "end_of_recording"],
 )
 def test_in_a_forked_child_every_use_is_refused_at_once(parent: Parent, use: Callable[[Parent], object]) -> None:
     assert in_child(lambda: use(parent)) == REFUSED
