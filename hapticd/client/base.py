@@ -1,4 +1,4 @@
-"""What the modules of clients share: connecting a socket, time-outs, warnings at the line of the caller, the process."""
+"""What the modules of clients share: sockets, their process, time-outs, warnings at the line of the caller."""
 
 from __future__ import annotations
 

@@ -517,7 +517,7 @@ class Subscription(Generic[T]):
         return self._socket.closed
 
     def close(self) -> None:
-        """End the subscription. Closing it again has no effect, nor has closing that of the parent in a forked child."""
+        """End the subscription. Closing it again has no effect; nor has closing it in a forked child."""
         if not self._owner.is_forked:
             self._socket.close()
         self._client._subscriptions.discard(self)

@@ -8,8 +8,8 @@
     hapticd/status     JSON: the status at the start
     hapticd/change     JSON: changes by commands
 
-`log_time` and `publish_time` are the tick's `time_ns` plus one offset, which makes them UTC in ns since 1970. The content
-of the messages has CLOCK_MONOTONIC of the daemon's machine. Texts that are known at the start are attachments
+`log_time` and `publish_time` are the tick's `time_ns` plus one offset, which makes them UTC in ns since 1970. The
+messages themselves have CLOCK_MONOTONIC of the daemon's machine. Texts that are known at the start are attachments
 (`scene.json`, ...), with the time of the first sample; texts that are known at the end are metadata.
 
 NAME.csv holds the samples, one row per tick; a vector has two columns (`position_m_x`, `position_m_y`). The events are
@@ -47,7 +47,7 @@ Events: TypeAlias = Iterable[Mapping[str, Any]]
 Texts: TypeAlias = Mapping[str, Any]
 
 _MODULES_OF_SUFFIX: Final = {".mcap": ("mcap.writer", "zstandard"), ".csv": ("pandas",)}
-"""Modules that a format needs, by the file's ending. The first begins with the name of hapticd's extra for the format."""
+"""Modules that a format needs, by the file's ending. The package of the first has the name of hapticd's extra."""
 _BLOCK_SAMPLES: Final = 100_000
 """Number of samples that are converted at once."""
 _ATTACHED_TEXTS: Final = ("config", "scene", "materials", "status")

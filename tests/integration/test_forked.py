@@ -84,27 +84,26 @@ def parent(daemon: Daemon, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     assert len(hapticd.load(file).samples), "the children did no harm to the blocks of the parent"
 
 
-@pytest.mark.parametrize(
-    "use",
-    [
-        lambda parent: parent.client.get_status(),
-        lambda parent: parent.client.mark("from a child"),
-        lambda parent: parent.client.wait_gesture(),
-        lambda parent: parent.client.hold_lease().__enter__(),
-        lambda parent: next(parent.queued),
-        lambda parent: next(parent.samples),
-        lambda parent: parent.samples.receive(0.0),
-        lambda parent: next(parent.newest),
-        lambda parent: parent.stream.target(0.0, 0.0),
-        lambda parent: parent.client.stream().__enter__(),
-        lambda parent: parent.stream.__exit__(None, None, None),
-        lambda parent: parent.lease.__exit__(None, None, None),
-        lambda parent: parent.recording.__exit__(None, None, None),
-    ],
-    ids=["call", "mark", "wait_gesture", "hold_lease", "queued_item", "next_item", "receive", "newest", "stream", "new_stream", "end_of_stream", "end_of_lease", "end_of_recording"],
-)
-def test_in_a_forked_child_every_use_is_refused_at_once(parent: Parent, use: Callable[[Parent], object]) -> None:
-    assert in_child(lambda: use(parent)) == REFUSED
+USES: dict[str, Callable[[Parent], object]] = {
+    "call": lambda parent: parent.client.get_status(),
+    "mark": lambda parent: parent.client.mark("from a child"),
+    "wait gesture": lambda parent: parent.client.wait_gesture(),
+    "hold lease": lambda parent: parent.client.hold_lease().__enter__(),
+    "queued item": lambda parent: next(parent.queued),
+    "next item": lambda parent: next(parent.samples),
+    "receive": lambda parent: parent.samples.receive(0.0),
+    "newest": lambda parent: next(parent.newest),
+    "stream": lambda parent: parent.stream.target(0.0, 0.0),
+    "new stream": lambda parent: parent.client.stream().__enter__(),
+    "end of stream": lambda parent: parent.stream.__exit__(None, None, None),
+    "end of lease": lambda parent: parent.lease.__exit__(None, None, None),
+    "end of recording": lambda parent: parent.recording.__exit__(None, None, None),
+}
+
+
+@pytest.mark.parametrize("use", USES)
+def test_in_a_forked_child_every_use_is_refused_at_once(parent: Parent, use: str) -> None:
+    assert in_child(lambda: USES[use](parent)) == REFUSED
     assert parent.client.get_status()["state"] == "running" and len(next(parent.samples))
     parent.stream.force(0.0, 0.0)
 
