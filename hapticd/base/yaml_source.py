@@ -73,6 +73,16 @@ class Document:
     _marks: Marks | None = None
     _above: tuple[str, ...] = ()
 
+    @property
+    def folder(self) -> str:
+        """The folder of the file, in which the relative paths in it begin; that of the process without a regular file.
+
+        Links are not followed. The standard input (/dev/stdin) has no folder either.
+        """
+        if self.name is None or self.name.startswith("/dev/") or not os.path.isfile(self.name):
+            return os.getcwd()
+        return os.path.dirname(os.path.abspath(self.name))
+
     def below(self, key: str) -> "Document":
         """Return a document in which this one is the value of `key`; lines and columns stay the same."""
         return replace(self, data={key: self.data}, _above=(key, *self._above))

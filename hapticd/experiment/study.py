@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from pathlib import Path as FilePath
 
 from pydantic import ValidationError
 
@@ -89,8 +88,7 @@ def _path(where: str) -> Path:
 
 def _base_file(document: Document, name: str) -> Document:
     """Load the base of a study, scene and materials, from a file in the study's folder or a shipped scene."""
-    neighbor = FilePath(document.name or "").parent / name
-    source = load_path(neighbor if neighbor.is_file() else file_of(name, "scenes"))
+    source = load_path(file_of(name, "scenes", document.folder))
     refuse_other_kinds(source, "change", "scene", "bare scene", "materials")
     if not isinstance(source.data, dict):
         raise InvalidError([Problem(source.where(()), "must have a scene, materials or both")])

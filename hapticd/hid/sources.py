@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
+
+from hapticd.base.errors import HapticdError, InvalidError, Problem
 from hapticd.config.configuration import Device as DeviceConfig
 from hapticd.config.hid import Hid, Replay
 from hapticd.hid.connection import Opened, Source
 from hapticd.hid.device import Device, HidrawDevice
 from hapticd.hid.discovery import choose, find
 from hapticd.hid.plan import DeviceError, Plan
-from hapticd.hid.replay import ReplayDevice, load
+from hapticd.hid.replay import Recording, ReplayDevice, load
 from hapticd.hid.verdict import verdict_of
 
 
@@ -30,15 +34,32 @@ def open_hid(hid: Hid) -> Opened:
     )
 
 
+def read_replay(replay: Replay, hid: Hid) -> tuple[Recording, Plan]:
+    """Return the recording that a configuration names, and the plan of the recorded device.
+
+    Raises InvalidError, with key and full path, if the file cannot be read or the recorded device cannot be driven.
+    """
+    path = os.path.abspath(replay.path)
+    try:
+        recording = load(path)
+        _, plan = verdict_of(hid, recording.descriptor).driver_and_plan()
+    except DeviceError as error:
+        raise InvalidError([Problem("device.replay.path", f"{path}: {error}")]) from None
+    except HapticdError as error:
+        raise InvalidError([Problem("device.replay.path", str(error))]) from None
+    return recording, plan
+
+
 def replay_source(replay: Replay, hid: Hid) -> Source:
-    """Return the function that opens a recording as a device. Raises HapticdError if the recording cannot be read."""
-    recording = load(replay.path)
-    driver = _ReplayDriver(hid, recording.descriptor)
+    """Return the function that opens a recording as a device. Raises InvalidError if the recording cannot be read."""
+    recording, plan = read_replay(replay, hid)
+    # No other program can change the effects of a recording.
+    driver = _ReplayDriver(replace(plan, restore=(), foreign_effect_s=None))
     played: list[ReplayDevice] = []
 
     def play() -> Opened:
         if played and not replay.loop:
-            raise DeviceError(f"{replay.path}: the recording is over")
+            raise DeviceError(f"{replay.path}: the recording is over; restart the daemon, or set device.replay.loop")
         device = ReplayDevice(recording, replay)
         played[:] = [device]
         return Opened(device, driver, recording.name, None, recording.on_change, measure=False)
@@ -49,8 +70,8 @@ def replay_source(replay: Replay, hid: Hid) -> Source:
 class _ReplayDriver:
     """Driver of a recording, which needs no set-up."""
 
-    def __init__(self, hid: Hid, descriptor: bytes) -> None:
-        _, self._plan = verdict_of(hid, descriptor).driver_and_plan()
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
 
     def set_up(self, device: Device) -> Plan:
         """Return the plan of the recorded device's reports; nothing is sent."""
