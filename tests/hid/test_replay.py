@@ -178,7 +178,7 @@ def test_a_missing_recording_is_named_whole(
     (tmp_path / "rig.yaml").write_text("device: {kind: replay, replay: {path: rec.jsonl}}\n")
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    save("rec.jsonl", moving(), False)
+    Path("rec.jsonl").touch()
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "run"))
     assert main([command, "-c", "../rig.yaml"]) == 1
     problem = f"device.replay.path: {tmp_path}/rec.jsonl: No such file or directory"
