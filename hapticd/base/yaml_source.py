@@ -75,13 +75,13 @@ class Document:
 
     @property
     def folder(self) -> str:
-        """The folder of the file, in which the relative paths in it begin; that of the process without a regular file.
+        """The folder of the file, where relative paths in it begin; links are not followed.
 
-        Links are not followed. The standard input (/dev/stdin) has no folder either.
+        A mapping, the standard input (/dev/stdin) and a pipe have no folder. Their paths begin in the current one.
         """
-        if self.name is None or self.name.startswith("/dev/") or not os.path.isfile(self.name):
-            return os.getcwd()
-        return os.path.dirname(os.path.abspath(self.name))
+        folder = os.path.dirname(os.path.abspath(self.name or ""))
+        has_folder = self.name is not None and folder not in ("/dev", "/dev/fd") and os.path.isfile(self.name)
+        return folder if has_folder else os.getcwd()
 
     def below(self, key: str) -> "Document":
         """Return a document in which this one is the value of `key`; lines and columns stay the same."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
@@ -89,6 +90,11 @@ def test_what_has_no_folder_begins_in_the_current_one(rig: Path) -> None:
     assert folders == {os.getcwd()}
 
 
+def test_a_file_in_shared_memory_has_a_folder() -> None:
+    with tempfile.NamedTemporaryFile("w", dir="/dev/shm", suffix=".yaml") as file:
+        assert load_text(REPLAY, file.name).folder == "/dev/shm"
+
+
 def test_the_base_of_a_study_is_beside_it(rig: Path) -> None:
     begin, end = PAIRS.index("base:"), PAIRS.index("places:")
     base = textwrap.dedent(PAIRS[begin:end].removeprefix("base:\n"))
@@ -103,7 +109,7 @@ def test_the_base_of_a_study_is_beside_it(rig: Path) -> None:
 
 @pytest.mark.parametrize("key", ["base", "operator"])
 def test_base_and_operator_of_a_sweep_are_beside_it(rig: Path, key: str) -> None:
-    text = "base: fields\noperator: push\nvary: {servo.rate_hz: [1000, 2000]}\nmeasure: [samples]\n"
+    text = "base: fields\noperator: push\nvary: {servo.rate_hz: [1000, 2000]}\nmeasure: [peak_force_n]\n"
     text = text.replace("fields" if key == "base" else "push", "other.yaml")
     Path("other.yaml").write_text(ONLY_HERE if key == "base" else "waypoints: [[0, 0, 0], [1, 0.01, 0]]\n")
     with pytest.raises(HapticdError) as caught:
