@@ -34,7 +34,7 @@ class Owner:
     def refuse_fork(self) -> None:
         """Raise HapticdError in a forked child of the owner."""
         if self.is_forked:
-            raise HapticdError(f"this client belongs to process {self._process_id}: connect anew")
+            raise HapticdError(f"this client belongs to process {self._process_id}: connect again")
 
 
 def connect_commands(socket: zmq.Socket[Any], place: RuntimePaths) -> None:

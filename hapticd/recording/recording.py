@@ -167,7 +167,7 @@ class Recording:
 
     @property
     def _clocks(self) -> Moment | None:
-        """Times of the daemon's clocks from which UTC is computed for the whole recording."""
+        """Times of the daemon's clocks from which UTC is computed for all samples and events."""
         return self.started or self.ended
 
     @property

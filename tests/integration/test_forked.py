@@ -22,7 +22,7 @@ from tests.support.fake_daemon import fake_daemon, result
 
 HANGS_S = 10
 """A child is killed after this time; it only ends tests that fail."""
-REFUSED = f"this client belongs to process {os.getpid()}: connect anew"
+REFUSED = f"this client belongs to process {os.getpid()}: connect again"
 
 
 @pytest.fixture(scope="module")
