@@ -28,7 +28,7 @@ REFUSED = f"this client belongs to process {os.getpid()}: connect again"
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     config = tmp_path_factory.mktemp("config") / "quiet.yaml"
-    config.write_text("servo: {rate_hz: 1000, realtime: off}\n")
+    config.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
     with running_daemon("-c", str(config)) as daemon:
         yield daemon
 
@@ -61,11 +61,11 @@ class Parent:
         self.client = stack.enter_context(connect(daemon.directory))
         self.client.get_status()
         self.queued = stack.enter_context(self.client.states())
-        self.samples = stack.enter_context(self.client.samples())
-        next(self.samples)
+        self.states = stack.enter_context(self.client.states())
+        next(self.states)
         self.newest = stack.enter_context(self.client.states(newest=True))
         self.lease, self.recording, self.stream = (
-            self.client.hold_lease(5.0),
+            self.client.hold_lease(60.0),
             self.client.record(file),
             self.client.stream(),
         )
@@ -90,8 +90,8 @@ USES: dict[str, Callable[[Parent], object]] = {
     "wait gesture": lambda parent: parent.client.wait_gesture(),
     "hold lease": lambda parent: parent.client.hold_lease().__enter__(),
     "queued item": lambda parent: next(parent.queued),
-    "next item": lambda parent: next(parent.samples),
-    "receive": lambda parent: parent.samples.receive(0.0),
+    "next item": lambda parent: next(parent.states),
+    "receive": lambda parent: parent.states.receive(0.0),
     "newest": lambda parent: next(parent.newest),
     "stream": lambda parent: parent.stream.target(0.0, 0.0),
     "new stream": lambda parent: parent.client.stream().__enter__(),
@@ -104,7 +104,7 @@ USES: dict[str, Callable[[Parent], object]] = {
 @pytest.mark.parametrize("use", USES)
 def test_in_a_forked_child_every_use_is_refused_at_once(parent: Parent, use: str) -> None:
     assert in_child(lambda: USES[use](parent)) == REFUSED
-    assert parent.client.get_status()["state"] == "running" and len(next(parent.samples))
+    assert parent.client.get_status()["state"] == "running" and next(parent.states)["tick"] > 0
     parent.stream.force(0.0, 0.0)
 
 
@@ -118,12 +118,12 @@ def test_an_error_leaves_the_blocks_of_the_parent(parent: Parent, block: str) ->
 
 def test_closing_in_a_child_leaves_the_parent_its_connections(parent: Parent) -> None:
     def close() -> str:
-        parent.samples.close()
+        parent.states.close()
         parent.client.close()
         return "closed"
 
     assert in_child(close) == "closed"
-    assert parent.client.get_status()["state"] == "running" and len(next(parent.samples))
+    assert parent.client.get_status()["state"] == "running" and next(parent.states)["tick"] > 0
 
 
 def test_a_child_connects_anew(daemon: Daemon, parent: Parent) -> None:
