@@ -20,11 +20,6 @@ class Moment:
     realtime_ns: int
 
     @property
-    def utc_offset_ns(self) -> int:
-        """Nanoseconds since 1970, UTC, minus CLOCK_MONOTONIC."""
-        return self.realtime_ns - self.monotonic_ns
-
-    @property
     def utc(self) -> datetime:
         """The time of day of this moment in UTC, to the microsecond."""
         return datetime.fromtimestamp(self.realtime_ns // 1000 / 1e6, UTC)

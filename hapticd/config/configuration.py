@@ -306,13 +306,12 @@ def load_config(source: ConfigSource) -> Config:
         return source
     if isinstance(source, Mapping):
         return config_of_documents([Document(plain(source))])
-    if isinstance(source, str | os.PathLike):
-        return config_of_documents([load_path(source)])
-    if not isinstance(source, Sequence) or not all(isinstance(path, str | os.PathLike) for path in source):
+    paths = [source] if isinstance(source, str | os.PathLike) else source
+    if not isinstance(paths, Sequence) or not all(isinstance(path, str | os.PathLike) for path in paths):
         raise InvalidError(
             [Problem("", f"a configuration must be a mapping, a path or a list of paths, is {shown(source)}")]
         )
-    return config_of_documents(load_all(source))
+    return config_of_documents(load_all(paths))
 
 
 def load_all(paths: Sequence[str | os.PathLike[str]]) -> list[Document]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from hapticd.base.errors import HapticdError, InvalidError, Problem
 from hapticd.config.configuration import Device as DeviceConfig
@@ -43,10 +43,9 @@ def read_replay(replay: Replay, hid: Hid) -> tuple[Recording, Plan]:
     try:
         recording = load(path)
         _, plan = verdict_of(hid, recording.descriptor).driver_and_plan()
-    except DeviceError as error:
-        raise InvalidError([Problem("device.replay.path", f"{path}: {error}")]) from None
     except HapticdError as error:
-        raise InvalidError([Problem("device.replay.path", str(error))]) from None
+        where = f"{path}: " if isinstance(error, DeviceError) else ""
+        raise InvalidError([Problem("device.replay.path", f"{where}{error}")]) from None
     return recording, plan
 
 
@@ -67,12 +66,12 @@ def replay_source(replay: Replay, hid: Hid) -> Source:
     return play
 
 
+@dataclass(frozen=True)
 class _ReplayDriver:
     """Driver of a recording, which needs no set-up."""
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
+    plan: Plan
 
     def set_up(self, device: Device) -> Plan:
         """Return the plan of the recorded device's reports; nothing is sent."""
-        return self._plan
+        return self.plan

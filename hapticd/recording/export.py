@@ -163,14 +163,13 @@ def _write_mcap(samples: Samples, events: Events, texts: Texts, utc_offset_ns: i
         shape = {"$schema": "http://json-schema.org/draft-07/schema#", "type": "object", "properties": members}
         schema = writer.register_schema(name, "jsonschema", json.dumps(shape).encode())
         writer.register_channel(topic, "json", schema)
-    start_ns = _start_ns(samples) + utc_offset_ns
+    start_ns = int(samples["time_ns"][0]) if len(samples) else 0
     for name in _ATTACHED_TEXTS:
         if name in texts:
-            writer.add_attachment(
-                start_ns, start_ns, f"{name}.json", "application/json", json.dumps(texts[name]).encode()
-            )
+            utc_ns, text = start_ns + utc_offset_ns, json.dumps(texts[name]).encode()
+            writer.add_attachment(utc_ns, utc_ns, f"{name}.json", "application/json", text)
     by_time = attrgetter("time_ns")
-    others = sorted(_other_messages(samples, events, texts), key=by_time)
+    others = sorted(_other_messages(samples, events, texts, start_ns), key=by_time)
     for message in heapq.merge(_sample_messages(samples), others, key=by_time):
         utc_ns = message.time_ns + utc_offset_ns
         writer.add_message(message.channel, utc_ns, message.data, utc_ns, message.sequence)
@@ -198,13 +197,7 @@ def _sample_messages(samples: Samples) -> Iterator[_Message]:
             yield _Message(time_ns, _SAMPLES_CHANNEL, tick & 0xFFFFFFFF, body)
 
 
-def _start_ns(samples: Samples) -> int:
-    """Return the time of the first sample in ns, CLOCK_MONOTONIC."""
-    return int(samples["time_ns"][0]) if len(samples) else 0
-
-
-def _other_messages(samples: Samples, events: Events, texts: Texts) -> Iterator[_Message]:
-    time_ns = _start_ns(samples)
+def _other_messages(samples: Samples, events: Events, texts: Texts, time_ns: int) -> Iterator[_Message]:
     if texts.get("status"):
         yield _json_message(time_ns, _STATUS_CHANNEL, texts["status"])
     # A change has the time of the first sample rendered with it; without such a sample, that of the previous change.
