@@ -9,14 +9,14 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, shown
+from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names
 from hapticd.base.model import faults_of, plain
-from hapticd.base.yaml_source import MAX_YAML_BYTES, Document, Json, load_bytes, load_path, read_file
+from hapticd.base.yaml_source import MAX_YAML_BYTES, Document, Json, load_bytes, read_file
 from hapticd.config.configuration import Config, load_config
-from hapticd.config.document_kinds import kind_of, refuse_other_kinds
+from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.config.operator import Operator, load_operator, parse_operator
 from hapticd.config.shipped_files import file_of
-from hapticd.experiment.key_paths import BASE_KEY, expanded, invalid_in, path_of, with_value
+from hapticd.experiment.key_paths import BASE_KEY, invalid_in, path_of, with_base, with_value
 from hapticd.sweeps.axes import Axis
 from hapticd.sweeps.columns import Value
 from hapticd.sweeps.figure_faults import figure_faults
@@ -51,8 +51,7 @@ def _load(document: Document) -> Plan:
     if not isinstance(data, dict):
         text = "is empty" if data is None else "must be a mapping"
         raise InvalidError([Problem(document.where(()), f"{text}; known keys: {', '.join(SweepStudy.model_fields)}")])
-    data = dict(data)
-    base = _with_base(document, data)
+    data, base = with_base(document, data, "a configuration", "configuration", "change", "scene", "materials")
     _with_operator(document, data)
     _with_functions(document, data)
     try:
@@ -75,29 +74,6 @@ def _load(document: Document) -> Plan:
 
 
 # ---- Other files -----------------------------------------------------------------------------------------------------
-
-
-def _with_base(document: Document, data: dict[str, Json]) -> Document | None:
-    """Replace a named base by its configuration; return the YAML document of the base, or None without a file."""
-    given = data.get(BASE_KEY, {})
-    source: Document | None = None
-    if isinstance(given, str):
-        source = load_path(file_of(given, "scenes", document.folder))
-        refuse_other_kinds(source, "configuration", "change", "scene", "bare scene", "materials")
-        if kind_of(source.data) == "bare scene":
-            source = source.below("scene")
-        given = source.data
-    if not isinstance(given, dict):
-        text = f"must be a configuration, or the name of a file or of a shipped scene, is {shown(given)}"
-        raise InvalidError([document.problem((BASE_KEY,), text)])
-    try:
-        data[BASE_KEY] = expanded(given)
-    except InvalidError as error:
-        faults: list[tuple[Path, str]] = [
-            ((BASE_KEY, *each.where.split(".", 1)), each.problem) for each in error.problems
-        ]
-        raise invalid_in(document, source, faults) from None
-    return source
 
 
 def _with_operator(document: Document, data: dict[str, Json]) -> None:
