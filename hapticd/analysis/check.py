@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Final, NamedTuple
 
-from hapticd.base.errors import HapticdError, Problem, path_text
+from hapticd.base.errors import HapticdError, InvalidError, Problem, path_text
 from hapticd.base.lattice import reflection_of
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Material
@@ -20,8 +20,7 @@ from hapticd.config.waveform import Waveform
 from hapticd.hid.discovery import choose, find
 from hapticd.hid.link import Link, link_of
 from hapticd.hid.plan import UndrivableError
-from hapticd.hid.replay import load
-from hapticd.hid.verdict import verdict_of
+from hapticd.hid.sources import read_replay
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.displayability import (
@@ -217,11 +216,9 @@ def _device(config: Config) -> _Device:
     if device.kind == "replay":
         assert device.replay is not None
         try:
-            verdict_of(device.hid, load(device.replay.path).descriptor).driver_and_plan()
-        except HapticdError as error:
-            return _Device(
-                f"a recording: {error}", _STEP_UNKNOWN_TEXT, undrivable=(Problem("device.replay", str(error)),)
-            )
+            read_replay(device.replay, device.hid)
+        except InvalidError as error:
+            return _Device(f"a recording: {error}", _STEP_UNKNOWN_TEXT, undrivable=tuple(error.problems))
         return _Device("a recording, which forces do not move", "a recording does not react to forces")
     hid = device.hid
     handle = "" if device.handle is not None else "; device.handle is not set"

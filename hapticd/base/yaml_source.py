@@ -73,6 +73,16 @@ class Document:
     _marks: Marks | None = None
     _above: tuple[str, ...] = ()
 
+    @property
+    def folder(self) -> str:
+        """The folder of the file, where relative paths in it begin; links are not followed.
+
+        A mapping, the standard input (/dev/stdin) and a pipe have no folder. Their paths begin in the current one.
+        """
+        folder = os.path.dirname(os.path.abspath(self.name or ""))
+        has_folder = self.name is not None and folder not in ("/dev", "/dev/fd") and os.path.isfile(self.name)
+        return folder if has_folder else os.getcwd()
+
     def below(self, key: str) -> "Document":
         """Return a document in which this one is the value of `key`; lines and columns stay the same."""
         return replace(self, data={key: self.data}, _above=(key, *self._above))

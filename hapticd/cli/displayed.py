@@ -26,6 +26,7 @@ from hapticd.rendering.stability_text import stability_words
 
 if TYPE_CHECKING:
     from hapticd.analysis.check import Checked, Report
+    from hapticd.config.configuration import Config
     from hapticd.rendering.stability import Margin
 
 DEFAULT_DRIVE_FORCE_N: Final = 1.0
@@ -52,17 +53,18 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
     from hapticd.analysis.check import check
     from hapticd.config.configuration import config_of
 
-    report = check(config_of(configs))
+    config = config_of(configs)
+    report = check(config)
     if as_json:
         print_json(report.to_dict())
     else:
-        _print(report)
+        _print(report, config.device.kind != "replay")
     if report.faults:
         note(f"{wording.count(report.faults, 'thing')} of the scene cannot be displayed as written, or may oscillate")
     return 1 if report.faults else 0
 
 
-def _print(report: Report) -> None:
+def _print(report: Report, measurable: bool) -> None:
     from hapticd.rendering.rearm import rearm_text
 
     output, stability = report.output, report.stability
@@ -87,7 +89,7 @@ def _print(report: Report) -> None:
             "error: RMS of the difference between the handle's acceleration and the library's, over the library's RMS, "
             f"from 30 Hz to 0.4 of the rate, with compensation: {output.compensation}"
         )
-    again = rearm_text(output.rearm_m, report.encoder_step_m, output.rate_hz)
+    again = rearm_text(output.rearm_m, report.encoder_step_m, output.rate_hz, measurable)
     if again is not None:
         click.echo(again)
     if stability.sets:
@@ -170,7 +172,6 @@ def calibrate_command(
     """
     from hapticd.analysis.calibration import handle
     from hapticd.analysis.calibration.accelerometer import check_name
-    from hapticd.config.configuration import config_of
 
     # Checked before the drives, which take a minute.
     for target in (output, plot):
@@ -180,7 +181,7 @@ def calibrate_command(
         handle.check_picture(plot)
     if accelerometer is not None:
         check_name(accelerometer)
-    config = config_of(configs)
+    config = _driven_config(configs)
     asks = config.device.kind != "sim" and not yes
 
     def ask(held: bool) -> None:
@@ -218,6 +219,16 @@ def calibrate_command(
         write_atomically(output, yaml_text(section) + "\n", overwrite)
     if plot is not None:
         write_atomically(plot, handle.picture(found, plot), overwrite)
+
+
+def _driven_config(configs: tuple[str, ...]) -> Config:
+    """Return the configuration of a device that is to be driven. Raises HapticdError for a recording."""
+    from hapticd.config.configuration import config_of
+
+    config = config_of(configs)
+    if config.device.kind == "replay":
+        raise HapticdError("device.kind replay: forces do not move a recording; give the configuration of the joystick")
+    return config
 
 
 def _ask_for(recording: str, asks: bool) -> None:
@@ -264,10 +275,9 @@ def verify_command(
     """
     from hapticd.analysis.calibration import verify
     from hapticd.analysis.calibration.accelerometer import load_recording
-    from hapticd.config.configuration import config_of
     from hapticd.rendering.displayability import preload_notes
 
-    config = config_of(configs)
+    config = _driven_config(configs)
     simulated = config.device.kind == "sim"
     if not simulated and recording is None:
         raise HapticdError("a real device needs an accelerometer on its handle: give --recording FILE")

@@ -22,7 +22,7 @@ import zmq
 from hapticd.base import arguments
 from hapticd.base.errors import HapticdError
 from hapticd.client import streams
-from hapticd.client.base import warn
+from hapticd.client.base import Owner, warn
 from hapticd.client.sources import (
     Interpolation,
     PatchSource,
@@ -74,8 +74,9 @@ class Client(ABC):
         self.paths: RuntimePaths = place
         self.timeout_s = timeout_s
         self._closed = False
+        self._owner = Owner()
         self._ids = itertools.count(1)
-        self._sender = streams.Sender(place, timeout_s)
+        self._sender = streams.Sender(place, timeout_s, self._owner)
         self._subscriptions: set[Subscription[Any]] = set()
         self._operator_tick: int | None = None
         """Tick of the last `set_operator` of this client."""
@@ -135,10 +136,14 @@ class Client(ABC):
             raise HapticdError("the client is closed")
 
     async def close(self) -> None:
-        """Close the client and its subscriptions. Closing it again has no effect."""
+        """Close the client and its subscriptions. Closing it again has no effect.
+
+        In a forked child, the connections of the parent stay as they are.
+        """
         self._closed = True
-        await self._disconnect()
-        self._sender.close()
+        if not self._owner.is_forked:
+            await self._disconnect()
+            self._sender.close()
         for subscription in list(self._subscriptions):
             subscription.close()
 
@@ -150,6 +155,7 @@ class Client(ABC):
 
     async def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
         """Call any method of the protocol by its name, and return its result."""
+        self._owner.refuse_fork()
         id = next(self._ids)
         body = calls.encode_request(id, method, params)
         try:
@@ -371,10 +377,12 @@ class Client(ABC):
         except BaseException:
             # The error of the block is raised, not those of ending the lease.
             with suppress(Exception):
+                self._owner.refuse_fork()
                 await end()
             with suppress(Exception):
                 await self.lease(0, token)
             raise
+        self._owner.refuse_fork()
         await end()
         await self.lease(0, token)
 
@@ -392,14 +400,17 @@ class Client(ABC):
         """
         from hapticd.client.record import Recorder
 
+        owner = Owner()
         recorder = Recorder(self._blocking, path, overwrite, notes)
         try:
             await self._in_thread(recorder.begin)
             yield recorder
         except BaseException:
             with suppress(HapticdError):  # the error of the block is raised, not that of the recording
+                owner.refuse_fork()
                 await self._in_thread(recorder.end)
             raise
+        owner.refuse_fork()
         for warning in await self._in_thread(recorder.end):
             warn(warning)
 
@@ -477,7 +488,7 @@ class Subscription(Generic[T]):
             arguments.one_of("topic", topic, get_args(Topic))
         self._timeout_s = client.timeout_s if timeout_s is None else arguments.seconds("timeout_s", timeout_s)
         client._refuse_closed()
-        self._client, self._convert = client, convert
+        self._client, self._convert, self._owner = client, convert, Owner()
         self._wanted = {topic.encode() for topic in topics}
         self._on_demand = self._wanted - {HEARTBEAT_TOPIC} if newest else set()
         """Topics that are subscribed for each item, and unsubscribed after it."""
@@ -506,8 +517,9 @@ class Subscription(Generic[T]):
         return self._socket.closed
 
     def close(self) -> None:
-        """End the subscription. Closing it again has no effect."""
-        self._socket.close()
+        """End the subscription. Closing it again has no effect; nor has closing it in a forked child."""
+        if not self._owner.is_forked:
+            self._socket.close()
         self._client._subscriptions.discard(self)
 
     async def _take(self, timeout_s: float) -> T | None:
@@ -528,6 +540,7 @@ class Subscription(Generic[T]):
 
         `left_s` returns the time to wait for the next message, in s.
         """
+        self._owner.refuse_fork()
         item, self._first = self._first, None
         if item is not None:
             return item
@@ -574,6 +587,7 @@ class Subscription(Generic[T]):
 
     async def __aenter__(self) -> Self:
         """Wait for the first message of the daemon."""
+        self._owner.refuse_fork()
         if not self._ready:
             try:
                 item = await self._take(self._timeout_s)

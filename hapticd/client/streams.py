@@ -16,7 +16,7 @@ import zmq
 
 from hapticd.base import arguments
 from hapticd.base.errors import HapticdError
-from hapticd.client.base import connect_commands, warn
+from hapticd.client.base import Owner, connect_commands, warn
 from hapticd.protocol import calls, messages, places, streams
 from hapticd.protocol.calls import ForcesOff, RemoteError
 from hapticd.protocol.streams import MAX_COMPONENT_BY_KIND, Kind
@@ -38,8 +38,8 @@ _CLOSE_LINGER_MS: Final = 1000
 class Sender:
     """Sends streamed targets of the simulated hand and forces of one client; thread-safe."""
 
-    def __init__(self, place: RuntimePaths, timeout_s: float) -> None:
-        self._place, self._timeout_s = place, timeout_s
+    def __init__(self, place: RuntimePaths, timeout_s: float, owner: Owner) -> None:
+        self._place, self._timeout_s, self.owner = place, timeout_s, owner
         self._lock = threading.Lock()
         self._socket: zmq.Socket[bytes] | None = None
         self._seq: dict[Kind, int] = {"target": 0, "force": 0}
@@ -54,6 +54,7 @@ class Sender:
 
         Raises DaemonNotRunning.
         """
+        self.owner.refuse_fork()
         with self._lock:
             self._ask_at_s.clear()
             if self._socket is not None:
@@ -74,6 +75,7 @@ class Sender:
 
         Raises DaemonNotRunning, or RemoteError if the daemon has refused an earlier message.
         """
+        self.owner.refuse_fork()
         with self._lock:
             socket, now_s = self._opened(), time.monotonic()
             seq = self._seq[kind]
@@ -99,6 +101,7 @@ class Sender:
 
         Raises RemoteError if the daemon has refused a message, or DaemonNotRunning.
         """
+        self.owner.refuse_fork()
         with self._lock:
             socket = self._opened()
             deadline_s = time.monotonic() + self._timeout_s
@@ -202,6 +205,7 @@ class Stream(Generic[Sent]):
     async def __aenter__(self) -> Self:
         from asyncio import to_thread
 
+        self._sender.owner.refuse_fork()  # the event loop has no threads in the child
         return await to_thread(self.__enter__)
 
     async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> None:
@@ -209,6 +213,7 @@ class Stream(Generic[Sent]):
 
         self._end_force(error)  # not in a thread, which might have to wait
         if error is None:
+            self._sender.owner.refuse_fork()
             await to_thread(self._sender.settle)
 
     def _end_force(self, error: BaseException | None) -> None:

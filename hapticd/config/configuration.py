@@ -3,7 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Annotated, Literal, Self, TypeAlias
+from typing import Annotated, Final, Literal, Self, TypeAlias
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -22,6 +22,9 @@ from hapticd.config.shipped_files import file_of
 
 DEFAULT_CONFIG_FILE = "default.yaml"
 """Shipped file of the built-in configuration."""
+
+_PATH_KEYS: Final[tuple[tuple[str, ...], ...]] = (("device", "replay", "path"), ("flight", "directory"))
+"""Keys whose values are paths of files."""
 
 Compensation: TypeAlias = Literal["off", "mass", "full"]
 """Dynamics for which strikes are compensated: none; the mass; mass, spring and damper of handle and hand."""
@@ -262,7 +265,8 @@ class FlightRecorder(Model):
         default=None,
         min_length=1,
         max_length=4096,
-        description="Folder of the files; null: $STATE_DIRECTORY, or the runtime directory.",
+        description="Folder of the files, relative to that of the YAML file; null: $STATE_DIRECTORY, or the runtime "
+        "directory.",
     )
     keep: int = Field(default=10, ge=1, le=1000, description="Files to keep; older ones are removed.")
 
@@ -302,13 +306,12 @@ def load_config(source: ConfigSource) -> Config:
         return source
     if isinstance(source, Mapping):
         return config_of_documents([Document(plain(source))])
-    if isinstance(source, str | os.PathLike):
-        return config_of_documents([load_path(source)])
-    if not isinstance(source, Sequence) or not all(isinstance(path, str | os.PathLike) for path in source):
+    paths = [source] if isinstance(source, str | os.PathLike) else source
+    if not isinstance(paths, Sequence) or not all(isinstance(path, str | os.PathLike) for path in paths):
         raise InvalidError(
             [Problem("", f"a configuration must be a mapping, a path or a list of paths, is {shown(source)}")]
         )
-    return config_of_documents(load_all(source))
+    return config_of_documents(load_all(paths))
 
 
 def load_all(paths: Sequence[str | os.PathLike[str]]) -> list[Document]:
@@ -355,6 +358,8 @@ def config_of_documents(documents: Sequence[Document]) -> Config:
             text = "is empty" if document.data is None else "must be a mapping"
             raise InvalidError([Problem(document.where(()), f"{text}; known keys: {', '.join(Config.model_fields)}")])
         merged.add(document, document.data)
+    for path in _PATH_KEYS:
+        merged.make_absolute(path)
     try:
         config = Config.parsed(merged.data)
     except ValidationError as error:
@@ -395,6 +400,16 @@ class Merged:
             else:
                 target[key] = value
                 self._owners[here] = document
+
+    def make_absolute(self, path: Sequence[str]) -> None:
+        """Make the value at `path`, if it is a relative path of a file, begin in the folder of its document."""
+        section = self.data
+        for key in path[:-1]:
+            inner = section.get(key)
+            section = inner if isinstance(inner, dict) else {}
+        value = section.get(path[-1])
+        if isinstance(value, str) and value:
+            section[path[-1]] = os.path.join(self._owner(path).folder, value)
 
     def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
         """Return the InvalidError for faults of the merged document, each given by its path and text."""

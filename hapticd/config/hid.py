@@ -304,6 +304,8 @@ class Hid(Model):
 class Replay(Model):
     """A recording of a device (`hapticd devices dump`), which is replayed in place of the device."""
 
-    path: Annotated[str, Field(min_length=1, max_length=4096)] = Field(description="The recording.")
+    path: Annotated[str, Field(min_length=1, max_length=4096)] = Field(
+        description="The recording; a relative path begins in the folder of the YAML file."
+    )
     loop: bool = Field(default=False, description="Start again at the recording's end; otherwise the device is lost.")
     speed: float = Field(default=1.0, ge=0.01, le=100, description="Speed of the replay, relative to the recording.")

@@ -75,22 +75,24 @@ def _described(name: str, file: str) -> ShippedFile:
     return ShippedFile(name, sentence[0] if sentence else comment, operator[1] if operator else None, file)
 
 
-def file_of(text: str, folder: Folder) -> str:
+def file_of(text: str, shipped_folder: Folder, folder: str = "") -> str:
     """Return the path of the file that `text` names: an existing file, or a shipped one. `-` is the standard input.
 
-    Raises HapticdError for a mere name that is neither. A path is returned even if the file does not exist.
+    A relative path begins in `folder`, by default the current one. Raises HapticdError for a mere name that is neither.
+    A path is returned even if the file does not exist.
     """
     if text == "-":
         return "/dev/stdin"
-    if os.path.exists(text) and not os.path.isdir(text):
-        return text
-    known = shipped(folder)
+    path = os.path.join(folder, text)
+    if os.path.exists(path) and not os.path.isdir(path):
+        return path
+    known = shipped(shipped_folder)
     if text in known:
         return known[text]
-    what = folder.removesuffix("s")
+    what = shipped_folder.removesuffix("s")
     stem, ending = os.path.splitext(text)
     if os.path.dirname(text) or (ending and stem not in known):
-        return text
+        return path
     if stem in known:
         raise HapticdError(f"{text}: no such file; the shipped {what} of that name is called {stem}")
     near = near_names(text, list(known), _MAX_SUGGESTIONS)

@@ -11,10 +11,12 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Final
 
-from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text
+from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_of_text, path_text, shown
 from hapticd.base.merge_patch import merge_patch
-from hapticd.base.yaml_source import Document, Json
+from hapticd.base.yaml_source import Document, Json, load_path
+from hapticd.config.document_kinds import Kind, kind_of, refuse_other_kinds
 from hapticd.config.materials import shipped_materials
+from hapticd.config.shipped_files import file_of
 
 BASE_KEY: Final = "base"
 """Key of a study or a sweep with the configuration that it changes, or with the name of a file that contains it."""
@@ -75,6 +77,33 @@ def expanded(document: Mapping[str, Json]) -> dict[str, Json]:
                 raise InvalidError([Problem(path_text(("materials", name)), problem)])
         found[name] = value
     return {**document, "materials": found}
+
+
+def with_base(
+    document: Document, data: Mapping[str, Json], content: str, *kinds: Kind
+) -> tuple[dict[str, Json], Document | None]:
+    """Return a study or sweep with its base, expanded, instead of the name of a file, and the document of this file.
+
+    The file is in the folder of `document`, or is a shipped scene. It has `content`, as a document of one of `kinds`.
+    Raises InvalidError if the base is faulty, HapticdError if the file cannot be read.
+    """
+    given = data.get(BASE_KEY, {})
+    source: Document | None = None
+    if isinstance(given, str):
+        source = load_path(file_of(given, "scenes", document.folder))
+        refuse_other_kinds(source, *kinds, "bare scene")
+        source = source.below("scene") if kind_of(source.data) == "bare scene" else source
+        given = source.data
+    if not isinstance(given, dict):
+        if source is not None:
+            raise InvalidError([Problem(source.where(()), f"must be {content}")])
+        text = f"must be {content}, or the name of a file or of a shipped scene, is {shown(given)}"
+        raise InvalidError([document.problem((BASE_KEY,), text)])
+    try:
+        return {**data, BASE_KEY: expanded(given)}, source
+    except InvalidError as error:
+        faults = [((BASE_KEY, *path_of_text(each.where)), each.problem) for each in error.problems]
+        raise invalid_in(document, source, faults) from None
 
 
 def with_patch(document: Mapping[str, Json], patch: Mapping[str, Json]) -> dict[str, Json]:

@@ -8,8 +8,9 @@
     hapticd/status     JSON: the status at the start
     hapticd/change     JSON: changes by commands
 
-`log_time` and `publish_time` are the tick's `time_ns`, CLOCK_MONOTONIC of the daemon's machine. Texts that are known at
-the start are attachments (`scene.json`, ...); texts that are known at the end are metadata.
+`log_time` and `publish_time` are the tick's `time_ns` plus one offset, which makes them UTC in ns since 1970. The
+messages themselves have CLOCK_MONOTONIC of the daemon's machine. Texts that are known at the start are attachments
+(`scene.json`, ...), with the time of the first sample; texts that are known at the end are metadata.
 
 NAME.csv holds the samples, one row per tick; a vector has two columns (`position_m_x`, `position_m_y`). The events are
 in `NAME.events.csv`, the texts in `NAME.about.json`. Neither format holds arrays such as `truth`.
@@ -22,6 +23,7 @@ import heapq
 import importlib
 import io
 import json
+import struct
 from collections.abc import Iterable, Iterator, Mapping
 from operator import attrgetter
 from pathlib import Path
@@ -44,8 +46,8 @@ if TYPE_CHECKING:
 Events: TypeAlias = Iterable[Mapping[str, Any]]
 Texts: TypeAlias = Mapping[str, Any]
 
-_PACKAGES_OF_SUFFIX: Final = {".mcap": ("mcap", "zstandard"), ".csv": ("pandas",)}
-"""Packages that a format needs, by the file's ending. The first is also the name of hapticd's extra for the format."""
+_MODULES_OF_SUFFIX: Final = {".mcap": ("mcap.writer", "zstandard"), ".csv": ("pandas",)}
+"""Modules that a format needs, by the file's ending. The package of the first has the name of hapticd's extra."""
 _BLOCK_SAMPLES: Final = 100_000
 """Number of samples that are converted at once."""
 _ATTACHED_TEXTS: Final = ("config", "scene", "materials", "status")
@@ -76,27 +78,33 @@ def files_of(target: Path) -> list[Path]:
 
     Raises HapticdError if the ending of `target` is not .csv or .mcap, or if a needed package is not installed.
     """
-    packages = _PACKAGES_OF_SUFFIX.get(target.suffix.lower())
-    if packages is None:
+    modules = _MODULES_OF_SUFFIX.get(target.suffix.lower())
+    if modules is None:
         raise HapticdError(f"{target}: must end in .npz, .csv or .mcap")
     try:
-        for package in packages:
-            importlib.import_module(package)
+        for module in modules:
+            importlib.import_module(module)
     except ImportError:
-        extra = packages[0]
+        extra = modules[0].partition(".")[0]
         raise HapticdError(
-            f"{target.suffix} needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
+            f"{target}: {target.suffix} needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
         ) from None
-    endings = ("events.csv", "about.json") if "pandas" in packages else ()
+    endings = ("events.csv", "about.json") if "pandas" in modules else ()
     return [*(target.with_name(f"{target.stem}.{ending}") for ending in endings), target]
 
 
-def export(samples: Samples, events: Events, texts: Texts, target: Path, overwrite: bool) -> None:
-    """Write a recording in the format of the ending of `target`. Raises HapticdError if the files cannot be written."""
+def export(samples: Samples, events: Events, texts: Texts, utc_offset_ns: int, target: Path, overwrite: bool) -> None:
+    """Write a recording in the format of the ending of `target`. Raises HapticdError if the files cannot be written.
+
+    `utc_offset_ns` is UTC minus the clock of the samples, in ns; 0 if it is unknown.
+    """
     files = files_of(target)
     if len(files) == 1:
         with atomic_file(target, overwrite) as file:
-            _write_mcap(samples, events, texts, file)
+            try:
+                _write_mcap(samples, events, texts, utc_offset_ns, file)
+            except struct.error:
+                raise HapticdError(f"{target}: .mcap needs times from 1970 to 2554; the recording has others") from None
         return
     write_atomically(files[0], _events_csv(events), overwrite)
     write_atomically(files[1], json.dumps(dict(texts), indent=1) + "\n", overwrite)
@@ -144,7 +152,7 @@ class _Message(NamedTuple):
     data: bytes
 
 
-def _write_mcap(samples: Samples, events: Events, texts: Texts, file: BinaryIO) -> None:
+def _write_mcap(samples: Samples, events: Events, texts: Texts, utc_offset_ns: int, file: BinaryIO) -> None:
     from mcap.writer import Writer
 
     writer = Writer(file)
@@ -155,13 +163,16 @@ def _write_mcap(samples: Samples, events: Events, texts: Texts, file: BinaryIO) 
         shape = {"$schema": "http://json-schema.org/draft-07/schema#", "type": "object", "properties": members}
         schema = writer.register_schema(name, "jsonschema", json.dumps(shape).encode())
         writer.register_channel(topic, "json", schema)
+    start_ns = int(samples["time_ns"][0]) if len(samples) else 0
     for name in _ATTACHED_TEXTS:
         if name in texts:
-            writer.add_attachment(0, 0, f"{name}.json", "application/json", json.dumps(texts[name]).encode())
+            utc_ns, text = start_ns + utc_offset_ns, json.dumps(texts[name]).encode()
+            writer.add_attachment(utc_ns, utc_ns, f"{name}.json", "application/json", text)
     by_time = attrgetter("time_ns")
-    others = sorted(_other_messages(samples, events, texts), key=by_time)
+    others = sorted(_other_messages(samples, events, texts, start_ns), key=by_time)
     for message in heapq.merge(_sample_messages(samples), others, key=by_time):
-        writer.add_message(message.channel, message.time_ns, message.data, message.time_ns, message.sequence)
+        utc_ns = message.time_ns + utc_offset_ns
+        writer.add_message(message.channel, utc_ns, message.data, utc_ns, message.sequence)
     for name in _METADATA_TEXTS:
         if isinstance(texts.get(name), dict):
             writer.add_metadata(name, {key: json.dumps(value) for key, value in texts[name].items()})
@@ -186,8 +197,7 @@ def _sample_messages(samples: Samples) -> Iterator[_Message]:
             yield _Message(time_ns, _SAMPLES_CHANNEL, tick & 0xFFFFFFFF, body)
 
 
-def _other_messages(samples: Samples, events: Events, texts: Texts) -> Iterator[_Message]:
-    time_ns = int(samples["time_ns"][0]) if len(samples) else 0
+def _other_messages(samples: Samples, events: Events, texts: Texts, time_ns: int) -> Iterator[_Message]:
     if texts.get("status"):
         yield _json_message(time_ns, _STATUS_CHANNEL, texts["status"])
     # A change has the time of the first sample rendered with it; without such a sample, that of the previous change.

@@ -130,10 +130,9 @@ class Recording:
 
         Uses the clocks at the start, else those at the end. Raises HapticdError if the file lacks both.
         """
-        moment = self.started or self.ended
-        if moment is None:
+        if self._utc_offset_ns is None:
             raise HapticdError(f"{self.path}: holds no time of day")
-        times = self.samples["time_ns"].astype(np.int64) + (moment.realtime_ns - moment.monotonic_ns)
+        times: npt.NDArray[np.int64] = self.samples["time_ns"].astype(np.int64) + self._utc_offset_ns
         return times.view("M8[ns]")
 
     def to_pandas(self) -> DataFrame:
@@ -153,7 +152,7 @@ class Recording:
         target = Path(path)
         check_saved(target, overwrite)
         if target.suffix.lower() != ".npz":
-            export(self.samples, self.events, self.texts, target, overwrite)
+            export(self.samples, self.events, self.texts, self._utc_offset_ns or 0, target, overwrite)
             return target
         with RecordingWriter(target, overwrite) as writer:
             last = {name: self.texts[name] for name in ("recording", "flight") if name in self.texts}
@@ -163,6 +162,12 @@ class Recording:
         if writer.displaced:
             raise HapticdError(displaced(path, writer.target))
         return target
+
+    @property
+    def _utc_offset_ns(self) -> int | None:
+        """UTC in ns since 1970, minus the clock of the samples; None if the file lacks the time of day."""
+        moment = self.started or self.ended
+        return None if moment is None else moment.realtime_ns - moment.monotonic_ns
 
     @property
     def _about(self) -> dict[str, Any]:

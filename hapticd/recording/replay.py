@@ -130,7 +130,8 @@ class Replay:
             last = ("changes", "recording", "flight")
             first = {name: text for name, text in self.texts.items() if name not in last}
             writer.write_all(first, self.texts["changes"], self.samples, self.events)
-            writer.finish()
+            about = dict(self.texts.get("recording") or {})
+            writer.finish({"recording": {name: about[name] for name in ("started", "ended") if name in about}})
 
     def to_dict(self) -> dict[str, object]:
         """Return the result of the replay as a mapping for JSON, without samples and events."""

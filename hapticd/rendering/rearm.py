@@ -95,14 +95,18 @@ def at_rest(position_m: Floats, step_m: float, rate_hz: float) -> Resting:
     return Resting(float(np.sqrt(np.sum(left**2) / (len(windows) * (width - 2)))), step_m, rate_hz)
 
 
-def rearm_text(rearm_m: float, step_m: float | None, rate_hz: float) -> str | None:
-    """Return the sentence on device.rearm_m in `hapticd check`, None if not needed; `step_m` None: step unknown."""
+def rearm_text(rearm_m: float, step_m: float | None, rate_hz: float, measurable: bool = True) -> str | None:
+    """Return the sentence on device.rearm_m in `hapticd check`, None if not needed; `step_m` None: step unknown.
+
+    `measurable` says whether `hapticd calibrate` can measure the noise. It cannot measure that of a recording.
+    """
     if rearm_m == 0.0:
         if step_m == 0.0:
             return None
         every = "every contact taps the surface (device.rearm_m is 0): "
         if step_m is None:
-            return every + "noise of positions may tap repeatedly; hapticd calibrate measures the rearm_m against that"
+            measures = "; hapticd calibrate measures the rearm_m against that" if measurable else ""
+            return f"{every}noise of positions may tap repeatedly{measures}"
         return every + (
             f"a position that flickers by the encoder's step, {1e6 * step_m:g} um, taps each time; "
             f"rearm_m: {step_m:g} prevents that, and hapticd calibrate measures the value for noise"

@@ -5,19 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path as FilePath
 from typing import Final
 
 from pydantic import ValidationError
 
-from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, shown
+from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names
 from hapticd.base.model import faults_of, plain
-from hapticd.base.yaml_source import MAX_YAML_BYTES, Document, Json, load_bytes, load_path, read_file
+from hapticd.base.yaml_source import MAX_YAML_BYTES, Document, Json, load_bytes, read_file
 from hapticd.config.configuration import Config, load_config
-from hapticd.config.document_kinds import kind_of, refuse_other_kinds
+from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.config.operator import Operator, load_operator, parse_operator
 from hapticd.config.shipped_files import file_of
-from hapticd.experiment.key_paths import BASE_KEY, expanded, invalid_in, path_of, with_value
+from hapticd.experiment.key_paths import BASE_KEY, invalid_in, path_of, with_base, with_value
 from hapticd.sweeps.axes import Axis
 from hapticd.sweeps.columns import Value
 from hapticd.sweeps.figure_faults import figure_faults
@@ -39,23 +38,22 @@ def load_sweep(source: Mapping[str, object] | str | os.PathLike[str]) -> Plan:
     Raises InvalidError with every fault, its file, line and key, and HapticdError for a file that cannot be read.
     """
     if isinstance(source, Mapping):
-        return _load(Document(plain(source)), os.getcwd())
+        return _load(Document(plain(source)))
     file = file_of(os.fspath(source), "sweeps")
     content = read_file(file, MAX_YAML_BYTES)
     document = load_bytes(content, file)
     refuse_other_kinds(document, "sweep")
-    return replace(_load(document, str(FilePath(file).resolve().parent)), source=content.decode())
+    return replace(_load(document), source=content.decode())
 
 
-def _load(document: Document, folder: str) -> Plan:
+def _load(document: Document) -> Plan:
     data = document.data
     if not isinstance(data, dict):
         text = "is empty" if data is None else "must be a mapping"
         raise InvalidError([Problem(document.where(()), f"{text}; known keys: {', '.join(SweepStudy.model_fields)}")])
-    data = dict(data)
-    base = _with_base(document, data, folder)
-    _with_operator(document, data, folder)
-    _with_functions(document, data, folder)
+    data, base = with_base(document, data, "a configuration", "configuration", "change", "scene", "materials")
+    _with_operator(document, data)
+    _with_functions(document, data)
     try:
         study = SweepStudy.parsed(data)
     except ValidationError as error:
@@ -78,40 +76,11 @@ def _load(document: Document, folder: str) -> Plan:
 # ---- Other files -----------------------------------------------------------------------------------------------------
 
 
-def _with_base(document: Document, data: dict[str, Json], folder: str) -> Document | None:
-    """Replace a named base by its configuration; return the YAML document of the base, or None without a file."""
-    given = data.get(BASE_KEY, {})
-    source: Document | None = None
-    if isinstance(given, str):
-        source = _file(given, folder, "scenes")
-        refuse_other_kinds(source, "configuration", "change", "scene", "bare scene", "materials")
-        if kind_of(source.data) == "bare scene":
-            source = source.below("scene")
-        given = source.data
-    if not isinstance(given, dict):
-        text = f"must be a configuration, or the name of a file or of a shipped scene, is {shown(given)}"
-        raise InvalidError([document.problem((BASE_KEY,), text)])
-    try:
-        data[BASE_KEY] = expanded(given)
-    except InvalidError as error:
-        faults: list[tuple[Path, str]] = [
-            ((BASE_KEY, *each.where.split(".", 1)), each.problem) for each in error.problems
-        ]
-        raise invalid_in(document, source, faults) from None
-    return source
-
-
-def _file(name: str, folder: str, shipped: str) -> Document:
-    local = FilePath(folder, name)
-    return load_path(local if local.is_file() else file_of(name, shipped))  # type: ignore[arg-type]
-
-
-def _with_operator(document: Document, data: dict[str, Json], folder: str) -> None:
+def _with_operator(document: Document, data: dict[str, Json]) -> None:
     """Replace the name of an operator (the motion of the hand) by its content."""
     given = data.get(OPERATOR_KEY)
     if isinstance(given, str):
-        local = FilePath(folder, given)
-        data[OPERATOR_KEY] = _plain_operator(load_operator(local if local.is_file() else file_of(given, "operators")))
+        data[OPERATOR_KEY] = _plain_operator(load_operator(file_of(given, "operators", document.folder)))
     elif isinstance(given, dict):
         try:
             parse_operator(given)
@@ -121,7 +90,7 @@ def _with_operator(document: Document, data: dict[str, Json], folder: str) -> No
             ) from None
 
 
-def _with_functions(document: Document, data: dict[str, Json], folder: str) -> None:
+def _with_functions(document: Document, data: dict[str, Json]) -> None:
     """Add to the options of each user function the source of its module."""
     measures = data.get("measure")
     if not isinstance(measures, list):
@@ -132,7 +101,7 @@ def _with_functions(document: Document, data: dict[str, Json], folder: str) -> N
         options = each.get(FUNCTION_MEASURE) if isinstance(each, dict) and len(each) == 1 else None
         if isinstance(options, dict):
             try:
-                measures[index] = {FUNCTION_MEASURE: with_source(options, folder)}
+                measures[index] = {FUNCTION_MEASURE: with_source(options, document.folder)}
             except InvalidError as error:
                 problems += [
                     document.problem(("measure", index, FUNCTION_MEASURE, *_elements(each.where)), each.problem)

@@ -15,9 +15,14 @@ import pytest
 
 from hapticd.base.core import SAMPLE_DTYPE, Fault, records
 from hapticd.base.errors import HapticdError, InvalidError
+from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.hid import Hid, Replay
+from hapticd.daemon import status_text
 from hapticd.daemon.engine import Engine
+from hapticd.doctor import service
+from hapticd.doctor.machine import Machine, Needs
+from hapticd.hid.connection import Connection
 from hapticd.hid.plan import DeviceError
 from hapticd.hid.replay import Recording, ReplayDevice, load, record, save
 from hapticd.hid.sources import replay_source
@@ -25,6 +30,7 @@ from hapticd.hid.verdict import verdict_of
 from tests.support.hid_descriptors import Joystick
 
 STICK = bytes(Joystick())
+OVER = "the recording is over; restart the daemon, or set device.replay.loop"
 
 
 def report(x: int, y: int) -> bytes:
@@ -145,7 +151,7 @@ def test_played_once(path: str) -> None:
     opened.device.close()
     with pytest.raises(DeviceError) as caught:
         source()
-    assert str(caught.value) == f"{path}: the recording is over"
+    assert str(caught.value) == f"{path}: {OVER}"
 
 
 def test_played_for_ever_and_closed_meanwhile(path: str) -> None:
@@ -159,9 +165,51 @@ def test_played_for_ever_and_closed_meanwhile(path: str) -> None:
 
 def test_a_recording_of_a_device_that_cannot_be_driven(path: str) -> None:
     save(path, Recording("mouse", 1, 2, bytes(Joystick(without=frozenset({0x73}))), ((0.0, b"\x01"),)), False)
-    with pytest.raises(DeviceError) as caught:
+    with pytest.raises(InvalidError) as caught:
         replay_source(Replay(path=path), Hid())
-    assert str(caught.value) == "the device cannot be driven: its report descriptor has no Set Constant Force"
+    reason = "the device cannot be driven: its report descriptor has no Set Constant Force"
+    assert str(caught.value) == f"device.replay.path: {path}: {reason}"
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+def test_a_missing_recording_is_named_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    """With the key and the folder of the YAML file, not that of the process."""
+    (tmp_path / "rig.yaml").write_text("device: {kind: replay, replay: {path: rec.jsonl}}\n")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    Path("rec.jsonl").touch()
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "run"))
+    assert main([command, "-c", "../rig.yaml"]) == 1
+    problem = f"device.replay.path: {tmp_path}/rec.jsonl: No such file or directory"
+    assert problem in "".join(capsys.readouterr()).splitlines()[-1 if command == "run" else -2]
+
+
+def test_a_recording_is_treated_as_no_joystick(
+    path: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No other program can change its effects, and no force moves it, so no command for a joystick is of use."""
+    monkeypatch.setattr("hapticd.hid.connection.PLAYING_REPORT_TIMEOUT_S", 0.0)
+    save(path, moving(), False)
+    connection = Connection(replay_source(Replay(path=path, loop=True), Hid()))
+    connection.open()
+    try:
+        status = connection.status()
+    finally:
+        connection.stop()
+    assert status["state"] == "connected" and status["resets_seen"] is None and status["foreign_effect_s"] is None
+    assert {name for name, _ in status_text._connection(status)} == {"connection"}
+    machine = Machine(Path("/"), daemon=lambda: {"version": "1", "connection": status}, version="1")
+    assert [finding.verdict for finding in service.daemon(machine, Needs())] == ["ok"]
+    config = Path(path).with_suffix(".yaml")
+    config.write_text(f"device: {{kind: replay, replay: {{path: {path}}}}}\n")
+    main(["check", "-c", str(config)])
+    assert "noise of positions may tap repeatedly\n" in capsys.readouterr().out
+    refused = "device.kind replay: forces do not move a recording; give the configuration of the joystick"
+    for command in (["calibrate", "--yes"], ["verify", "--yes", "--recording", "none.csv"]):
+        assert main([*command, "-c", str(config)]) == 1
+        assert capsys.readouterr().err == f"hapticd: {refused}\n"
 
 
 def test_configuration() -> None:
@@ -246,7 +294,7 @@ def test_an_engine_follows_a_recording(path: str, monkeypatch: pytest.MonkeyPatc
             pause.wait(0.01)
         connection = engine.connection
         assert connection is not None
-        while connection.status()["problem"] != f"{path}: the recording is over":
+        while connection.status()["problem"] != f"{path}: {OVER}":
             assert time.monotonic() < deadline
             pause.wait(0.01)
     finally:

@@ -357,7 +357,8 @@ def test_a_recording_is_judged_as_the_device(
     capsys.readouterr()
     assert main(["run", "-c", str(config)]) == 1
     message = capsys.readouterr().err.splitlines()[-1]
-    assert message.startswith("hapticd: the device cannot be driven: ") and reason in message
+    assert message.startswith(f"hapticd: device.replay.path: {recording}: the device cannot be driven: ")
+    assert reason in message
 
 
 def test_a_description_that_does_not_fit_is_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,6 +12,8 @@ import numpy as np
 import pandas
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
 import hapticd
@@ -23,14 +25,101 @@ from hapticd.recording.writer import RecordingWriter
 from tests.recording.test_writer import EVENTS, MARKS, some
 from tests.support.special_files import KINDS, refused, special, untouched
 
+BOOTED_NS = 1_750_000_000_123_456_789
+"""UTC at which CLOCK_MONOTONIC of the machine was 0: 2025-06-15."""
+STARTED = {"monotonic_ns": 5_000_000_000, "realtime_ns": BOOTED_NS + 5_000_000_000}
+AN_HOUR_NS = 3_600_000_000_000
 
-def a_recording(target: Path, samples: np.ndarray, events: list[dict[str, object]]) -> hapticd.Recording:
+
+def a_recording(
+    target: Path, samples: np.ndarray, events: list[dict[str, object]], **clocks: object
+) -> hapticd.Recording:
     texts = {"scene": {"objects": {}}, "status": {"rate_hz": 10_000}}
     changes = [{"revision": 7}, {"revision": 8}, {"tick": int(samples["tick"][5]), "reset": {}}]
     with RecordingWriter(target) as writer:
         writer.write_all(texts, changes, samples, events)
-        writer.finish({"recording": {"lost": 0, "ended": None}})
+        writer.finish({"recording": {"lost": 0, "ended": None, **clocks}})
     return hapticd.load(target)
+
+
+def messages_of(path: Path, *topics: str) -> list[tuple[str, Message]]:
+    """Topics and messages of a .mcap, in the order of their times."""
+    with open(path, "rb") as file:
+        return [
+            (channel.topic, message) for _, channel, message in make_reader(file).iter_messages(list(topics) or None)
+        ]
+
+
+@pytest.mark.parametrize(
+    ("clocks", "offset_ns"),
+    [
+        ({"started": STARTED}, BOOTED_NS),
+        ({"started": {"monotonic_ns": 0, "realtime_ns": BOOTED_NS}}, BOOTED_NS),
+        # The time of day was set meanwhile: the file stays on the clock of its start.
+        (
+            {"started": STARTED, "ended": {"monotonic_ns": 6_000_000_000, "realtime_ns": BOOTED_NS + AN_HOUR_NS}},
+            BOOTED_NS,
+        ),
+        ({"ended": {"monotonic_ns": 6_000_000_000, "realtime_ns": BOOTED_NS + 6_000_000_000}}, BOOTED_NS),
+        # Of the first release, and of a simulation.
+        ({"ended": "stopped"}, 0),
+        ({}, 0),
+    ],
+    ids=["started", "at_boot", "time_set", "ended_only", "first_release", "simulated"],
+)
+def test_times_of_mcap_are_utc_by_one_offset(tmp_path: Path, clocks: dict[str, object], offset_ns: int) -> None:
+    given = some(20)
+    given["time_ns"] += 5_000_000_000
+    given["revision"] = np.where(np.arange(20) < 9, 7, 8)
+    event: dict[str, object] = {"event": "mark", "tick": 3, "time_ns": 5_000_300_000, "text": "tap", "data": None}
+    recording = a_recording(tmp_path / "run.npz", given, [event], **clocks)
+    recording.save(tmp_path / "run.mcap")
+    found = messages_of(tmp_path / "run.mcap")
+    expected_ns = {
+        "hapticd/samples": [5_000_000_000 + 100_000 * tick for tick in range(20)],
+        "hapticd/event": [5_000_300_000],
+        "hapticd/status": [5_000_000_000],
+        "hapticd/change": [5_000_000_000, 5_000_500_000, 5_000_900_000],
+    }
+    for topic, times_ns in expected_ns.items():
+        messages = [message for name, message in found if name == topic]
+        assert [message.log_time - offset_ns for message in messages] == times_ns
+        assert [message.publish_time for message in messages] == [message.log_time for message in messages]
+    with open(tmp_path / "run.mcap", "rb") as file:
+        attached = [(one.log_time, one.create_time) for one in make_reader(file).iter_attachments()]
+    assert attached == [(offset_ns + 5_000_000_000, offset_ns + 5_000_000_000)] * 2
+    # The messages keep the clock of the servo, and the recording its bits.
+    data = b"".join(message.data[4:] for topic, message in found if topic == "hapticd/samples")
+    assert data == given.tobytes() == hapticd.load(tmp_path / "run.npz").samples.tobytes()
+    assert [json.loads(message.data) for topic, message in found if topic == "hapticd/event"] == [event]
+
+
+def test_mcap_merges_with_the_utc_topic_of_a_camera(tmp_path: Path) -> None:
+    """The frame was exposed between the samples 7 and 8."""
+    given = some(20)
+    given["time_ns"] += 5_000_000_000
+    a_recording(tmp_path / "run.npz", given, [], started=STARTED).save(tmp_path / "run.mcap")
+    with open(tmp_path / "camera.mcap", "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("camera/image", "", 0)
+        exposed_ns = BOOTED_NS + 5_000_750_000
+        writer.add_message(channel, exposed_ns, b"frame", exposed_ns)
+        writer.finish()
+    both = [*messages_of(tmp_path / "run.mcap", "hapticd/samples"), *messages_of(tmp_path / "camera.mcap")]
+    merged = [message.data for _, message in sorted(both, key=lambda pair: pair[1].log_time)]
+    at = merged.index(b"frame")
+    before, after = (np.frombuffer(merged[place][4:], SAMPLE_DTYPE)["tick"][0] for place in (at - 1, at + 1))
+    assert (before, after) == (7, 8)
+
+
+@pytest.mark.parametrize("moved_ns", [-(2**62), 2**62])
+def test_clocks_that_no_machine_has_are_one_line(tmp_path: Path, moved_ns: int) -> None:
+    started = {"monotonic_ns": 0, "realtime_ns": 4 * moved_ns}
+    recording = a_recording(tmp_path / "run.npz", some(20), [], started=started)
+    with pytest.raises(HapticdError, match=r"run.mcap: \.mcap needs times from 1970 to 2554; the recording has others"):
+        recording.save(tmp_path / "run.mcap")
+    assert os.listdir(tmp_path) == ["run.npz"]
 
 
 @pytest.mark.long
@@ -40,7 +129,7 @@ def test_the_reader_of_mcap_accepts_the_export(tmp_path: Path) -> None:
     given["position_m"] = np.random.default_rng(1).standard_normal((12_000, 2))
     given["revision"] = np.where(np.arange(12_000) < 100, 7, 8)
     events = [{"time_ns": 100_000 * number, **event} for number, event in enumerate(EVENTS[:3])]
-    a_recording(tmp_path / "run.npz", given, events)
+    a_recording(tmp_path / "run.npz", given, events, started={"monotonic_ns": 0, "realtime_ns": 10**18})
     assert main(["export", str(tmp_path / "run.npz"), str(tmp_path / "run.mcap")]) == 0
     with open(tmp_path / "run.mcap", "rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -49,7 +138,10 @@ def test_the_reader_of_mcap_accepts_the_export(tmp_path: Path) -> None:
             "status.json": {"rate_hz": 10_000},
         }
         assert [(one.name, one.metadata) for one in reader.iter_metadata()] == [
-            ("recording", {"lost": "0", "ended": "null"})
+            (
+                "recording",
+                {"lost": "0", "ended": "null", "started": '{"monotonic_ns": 0, "realtime_ns": 1000000000000000000}'},
+            )
         ]
         summary = reader.get_summary()
         assert summary is not None and summary.statistics is not None
@@ -63,25 +155,27 @@ def test_the_reader_of_mcap_accepts_the_export(tmp_path: Path) -> None:
             "hapticd/change": ("hapticd.Change", "jsonschema"),
         }
         times = summary.statistics.message_start_time, summary.statistics.message_end_time
-        assert times == (0, int(given["time_ns"][-1]))
+        assert times == (10**18, 10**18 + int(given["time_ns"][-1]))
         assert summary.statistics.chunk_count == len(summary.chunk_indexes) == 2
         for (_, _, message, sample), record in zip(
             reader.iter_decoded_messages(["hapticd/samples"]), given, strict=True
         ):
-            assert message.log_time == message.publish_time == record["time_ns"]
+            assert message.log_time == message.publish_time == 10**18 + int(record["time_ns"])
             assert message.sequence == int(record["tick"]) & 0xFFFFFFFF
             for name in given.dtype.names or ():
                 assert np.array_equal(getattr(sample, name), record[name])
-        between = reader.iter_messages(["hapticd/samples"], starting_at=10**9, ending_before=10**9 + 10**7)
-        assert [message.log_time for _, _, message in between] == list(range(10**9, 10**9 + 10**7, 10**5))
+        begin = 10**18 + 10**9
+        between = reader.iter_messages(["hapticd/samples"], starting_at=begin, ending_before=begin + 10**7)
+        assert [message.log_time for _, _, message in between] == list(range(begin, begin + 10**7, 10**5))
         told = [(json.loads(message.data), message.log_time) for _, _, message in reader.iter_messages("hapticd/event")]
-        assert told == [(event, event["time_ns"]) for event in events]
+        assert told == [(event, 10**18 + int(str(event["time_ns"]))) for event in events]
         # A change has the time of the first sample that it acts on.
         changes = [
             (json.loads(message.data), message.log_time) for _, _, message in reader.iter_messages("hapticd/change")
         ]
         reset = {"tick": 2**53 + 5, "reset": {}}
-        assert changes == [({"revision": 7}, 0), (reset, 500_000), ({"revision": 8}, 10_000_000)]
+        at = {"start": 10**18, "reset": 10**18 + 500_000, "change": 10**18 + 10_000_000}
+        assert changes == [({"revision": 7}, at["start"]), (reset, at["reset"]), ({"revision": 8}, at["change"])]
 
 
 def test_csv_has_every_bit_and_the_events_beside_it(tmp_path: Path) -> None:
@@ -164,15 +258,40 @@ def test_an_export_writes_to_no_device(tmp_path: Path, name: str, there: str, ki
     assert str(caught.value) == refused(tmp_path / there, kind)
 
 
-@pytest.mark.parametrize(("ending", "package", "extra"), [("mcap", "zstandard", "mcap"), ("csv", "pandas", "pandas")])
+NEEDED = [("mcap", "mcap.writer", "mcap"), ("mcap", "zstandard", "mcap"), ("csv", "pandas", "pandas")]
+"""A folder called `mcap` is imported as a package, too; only its module `writer` shows that the right one is there."""
+
+
+@pytest.mark.parametrize(("ending", "package", "extra"), NEEDED)
 def test_a_missing_extra_is_named_before_anything_is_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str, package: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(HapticdError) as caught, recording_into(tmp_path / f"run.{ending}"):
         raise AssertionError("the block is not entered")
-    assert str(caught.value) == f".{ending} needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
+    needs = f"{tmp_path}/run.{ending}: .{ending} needs the packages of the extra `{extra}`"
+    assert str(caught.value) == f"{needs}: pip install 'hapticd[{extra}]'"
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(("ending", "package", "extra"), NEEDED)
+@pytest.mark.parametrize(
+    "command", ["record {}", "flight {}", "simulate fields -o {}", "export run.npz {}", "replay run.npz -o {}"]
+)
+def test_every_command_that_exports_names_a_missing_extra_in_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    ending: str,
+    package: str,
+    extra: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, package, None)
+    assert main(command.format(f"run.{ending}").split()) == 1
+    needs = f"run.{ending}: .{ending} needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
+    assert capsys.readouterr().err == f"hapticd: {needs}\n" and os.listdir(tmp_path) == []
 
 
 def test_samples_are_laid_out_as_cdr_is() -> None:

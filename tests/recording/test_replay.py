@@ -265,6 +265,18 @@ def test_scene_materials_and_commands_change_where_they_did(tmp_path: Path) -> N
             assert first is not None and tick <= first < tick + 100
 
 
+def test_a_rendered_recording_keeps_the_time_of_day(tmp_path: Path) -> None:
+    """Exported to .mcap, it lies beside the recorded one."""
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    clock = {"monotonic_ns": 10**9, "realtime_ns": 1_750_000_000 * 10**9}
+    run = render_run(config, strokes(1.0)[:100], RATE_HZ)
+    write(tmp_path / "run.npz", run.samples, config, texts={"recording": {"started": clock, "lost": 3}})
+    replay(tmp_path / "run.npz").write(tmp_path / "again.npz")
+    again = load(tmp_path / "again.npz")
+    assert again.started is not None and again.started.realtime_ns == clock["realtime_ns"]
+    assert np.array_equal(again.utc(), load(tmp_path / "run.npz").utc())
+
+
 def test_a_replay_begins_at_a_tick_without_effects_of_earlier_ticks(tmp_path: Path) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     run = render_run(config, strokes(1.0), RATE_HZ)

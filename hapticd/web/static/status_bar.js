@@ -211,7 +211,7 @@ function drawAlerts(bar) {
     if (safety.forces === "on" && (signs?.state === "checking" || signs?.state === "waiting")) {
       lines.push(["warn", signs.advice ?? "The joystick's directions are checked: let go of the handle."]);
     }
-    if (!safety.simulated && safety.forces === "off" && model.status.device !== undefined) {
+    if (safety.forces === "off" && model.status.device === "hid") {
       const limit = model.config.device?.max_force_n;
       lines.push(["warn", `“Turn forces on” lets the joystick push the hand, with up to ${number.format(limit)} N. ` +
         "Hold the handle. Closing this page turns the forces off within 1 s."]);

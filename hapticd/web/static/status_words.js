@@ -15,6 +15,9 @@ export function faultText(fault, model) {
     const percent = share === undefined ? "too many" : `more than ${Number((100 * share).toPrecision(2))} %`;
     return `The machine missed ${percent} of a second's periods. Close what else runs on it, or lower servo.rate_hz.`;
   }
+  if (fault === "device" && model.status.device === "replay") {
+    return "The recording of the joystick is over. Restart the daemon, or set device.replay.loop.";
+  }
   if (fault === "signs") {
     return model.status.connection?.signs?.advice ?? "The check of the joystick's directions failed.";
   }
