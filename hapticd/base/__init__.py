@@ -14,6 +14,7 @@ Text that people and programs write and read:
     wording            numbers, counts and times as text: 12,340 ticks, 2.5 ms, 19 %
     model              the base class of validated models: strict numbers, limits, paths of faults
     arguments          arguments that a program passes to a client, checked before anything is sent
+    csv_table          finds separator, names, units and numbers of a .csv
     yaml_source        reads YAML: plain data and line numbers
     yaml_text          writes YAML as the loader reads it
     html_page          an HTML page in a single file, and its tables
@@ -23,6 +24,7 @@ Text that people and programs write and read:
 Files and numbers:
 
     files              files that are written atomically, and never replace a device, a pipe or a folder
+    units              units of quantities, and the unit that a column's name states
     lattice            filters as coefficients and as reflection coefficients
 
 Questions, and where to begin:

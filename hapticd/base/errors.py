@@ -80,6 +80,16 @@ def quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=not text.isprintable())
 
 
+def shown_name(text: str) -> str:
+    """Return a name in quotation marks, shortened to one line."""
+    return f"'{text}'" if short_name(text) == text else quoted(text)
+
+
+def short_name(name: str) -> str:
+    """Return a name; a long or unprintable one is shortened and quoted."""
+    return name if name.isprintable() and len(name) <= 60 else quoted(name)
+
+
 def shown(value: object) -> str:
     """Return a value as messages show it: scalars as YAML writes them, collections by their kind."""
     match value:

@@ -147,19 +147,15 @@ def load_bytes(content: bytes, name: str) -> Document:
     """Parse a YAML document in UTF-8; `name` is the file's name in messages. Raises InvalidError as `load_path`."""
     if content.startswith(b"PK\x03\x04"):
         raise InvalidError([Problem(printable(name), "an archive, not YAML; for a recording use: hapticd replay")])
-    return _parse(text_of(content, name, MAX_YAML_BYTES), name, _YAML_LOADER)
-
-
-def text_of(content: bytes, name: str, max_bytes: int) -> str:
-    """Decode the UTF-8 text of the file `name`. Raises InvalidError if it is not UTF-8 or exceeds `max_bytes`."""
-    if len(content) > max_bytes:
-        raise _refusal(name, 0, 0, f"larger than {max_bytes} bytes")
+    if len(content) > MAX_YAML_BYTES:
+        raise _refusal(name, 0, 0, f"larger than {MAX_YAML_BYTES} bytes")
     try:
-        return content.decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         before = error.object[: error.start].decode("utf-8-sig")
         reason = "not UTF-8, but UTF-16: save it as UTF-8" if content.startswith(_UTF_16) else "not UTF-8"
         raise _refusal(name, *_line_column(before), reason) from None
+    return _parse(text, name, _YAML_LOADER)
 
 
 def load_text(text: str, name: str) -> Document:

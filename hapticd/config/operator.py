@@ -14,10 +14,9 @@ lines, which depend only on the object, the hand and the hand's position.
 """
 
 import cmath
-import csv
-import io
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Final, Literal, Self, TypeAlias, cast
@@ -26,8 +25,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ConfigDict, Field, Strict, ValidationError, model_validator
 
+from hapticd.base.csv_table import CsvTable, csv_table_of, number_of
 from hapticd.base.errors import InvalidError, Problem, known_names, quoted
 from hapticd.base.model import Coordinate, Model, Name, at_most, faults_of, plain
+from hapticd.base.units import UNITS_OF, Quantity, stated_unit, unit_of
 from hapticd.base.yaml_source import (
     MAX_YAML_BYTES,
     Document,
@@ -36,7 +37,6 @@ from hapticd.base.yaml_source import (
     load_bytes,
     printable,
     read_file,
-    text_of,
 )
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.config.modes import given, one_of
@@ -65,6 +65,7 @@ CLEARANCE_HEIGHT_M: Final = 0.005
 """Height from which the hand is lowered for a stroke; also added to other heights and to a puncture's depth."""
 
 _CSV_COLUMNS: Final = ("t_s", "x_m", "y_m")
+_QUANTITY_OF: Final[dict[str, Quantity]] = {"t": "time", "x": "position", "y": "position"}
 
 Speed: TypeAlias = Annotated[float, Field(ge=0.001, le=2)]
 Count: TypeAlias = Annotated[int, Field(ge=1, le=1000)]
@@ -253,7 +254,9 @@ def parse_operator(data: Mapping[str, object]) -> Operator:
 def load_operator(path: str | os.PathLike[str]) -> Operator:
     """Load an operator (motion of the simulated hand) from a file: CSV or JSON by its ending, YAML otherwise.
 
-    A CSV file has the columns t_s,x_m,y_m, with or without a header line; waypoints are joined by straight lines.
+    A CSV file has the columns t_s,x_m,y_m, with or without names, or the same in other units, such as t (ms). It is
+    read as the .csv of a recording. Waypoints are joined by straight lines.
+
     Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be read.
     """
     name = os.fspath(path)
@@ -413,34 +416,42 @@ def _parse(document: Document) -> Operator:
 
 def _csv_document(name: str) -> Document:
     """Read a CSV file as a document of waypoints, with the line of each waypoint. Raises InvalidError."""
-    text = text_of(read_file(name, MAX_CSV_BYTES), name, MAX_CSV_BYTES)
-    reader = csv.reader(io.StringIO(text), skipinitialspace=True)
+    content = read_file(name, MAX_CSV_BYTES)
+    if len(content) > MAX_CSV_BYTES:
+        raise InvalidError([Problem(f"{printable(name)}:1", f"larger than {MAX_CSV_BYTES} bytes")])
     rows: list[Json] = []
-    lines: list[int] = []
+    marks: dict[str | int, Marks] = {}
     try:
-        for cells in reader:
-            stripped = [cell.strip() for cell in cells]
-            # The first row is a header if it holds no number.
-            if not rows and any(stripped) and not any(isinstance(_number(cell), float) for cell in stripped):
-                if stripped != [*_CSV_COLUMNS]:
-                    problem = f"the header must be {','.join(_CSV_COLUMNS)}, is {quoted(','.join(stripped))}"
-                    raise InvalidError([Problem(_line(name, reader.line_num), problem)])
-            elif any(stripped):
-                rows.append([_number(cell) for cell in stripped])
-                lines.append(reader.line_num)
-    except csv.Error as error:
-        raise InvalidError([Problem(_line(name, reader.line_num), f"not CSV: {error}")]) from None
-    marks = Marks(1, 1, {index: Marks(line, 1, {}) for index, line in enumerate(lines)})
-    return Document({"waypoints": rows}, name, Marks(1, 1, {"waypoints": marks}))
+        table = csv_table_of(content)
+        indices, factors = _waypoint_columns(table)
+        for line, cells in table.lines():
+            if (fault := table.fault(cells, indices)) is not None:
+                raise InvalidError([Problem(f"{printable(name)}:{line}", fault)])
+            numbers = [number_of(cells[index], table.delimiter) or 0.0 for index in indices]
+            marks[len(rows)] = Marks(line, 1, {})
+            rows.append([factor * number for factor, number in zip(factors, numbers, strict=True)])
+    except ValueError as error:
+        place = re.match(r"lines? (\d+)", str(error))
+        raise InvalidError([Problem(f"{printable(name)}:{1 if place is None else place[1]}", str(error))]) from None
+    return Document({"waypoints": rows}, name, Marks(1, 1, {"waypoints": Marks(1, 1, marks)}))
 
 
-def _number(cell: str) -> float | str:
-    """Return a cell of a CSV file as a number, or unchanged if it is not a number."""
-    try:
-        return cell if "_" in cell else float(cell)
-    except ValueError:
-        return cell
-
-
-def _line(name: str, line: int) -> str:
-    return f"{printable(name)}:{line}"
+def _waypoint_columns(table: CsvTable) -> tuple[list[int], list[float]]:
+    """Return the indices of the columns t, x and y, and the factors to SI units. Raises ValueError."""
+    if not table.is_named and len(table.names) == len(_CSV_COLUMNS):
+        return [0, 1, 2], [1.0, 1.0, 1.0]
+    found: dict[str, list[tuple[int, str | None]]] = {"t": [], "x": [], "y": []}
+    for key, columns in found.items():
+        quantity = _QUANTITY_OF[key]
+        for index, name in enumerate(table.names):
+            stated = stated_unit(name, quantity, table.units.get(index, ""))
+            bare = (name if stated is None else stated.column).strip(" _/").casefold()
+            if ("t" if bare == "time" else bare) == key:
+                columns.append((index, None if stated is None else unit_of(stated.text, quantity)))
+    if any(len(columns) != 1 or columns[0][1] is None for columns in found.values()):
+        raise ValueError(
+            f"the columns must be {','.join(_CSV_COLUMNS)}, or be named with other units of time and length as in "
+            f"t (ms),x (mm),y (mm); they are {quoted(','.join(table.names))}"
+        )
+    chosen = [(index, UNITS_OF[_QUANTITY_OF[key]][unit or ""]) for key, ((index, unit),) in found.items()]
+    return [index for index, _ in chosen], [factor for _, factor in chosen]

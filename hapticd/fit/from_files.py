@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -19,7 +19,7 @@ from hapticd.config.materials import Material
 from hapticd.fit.limits import WAVEFORM_LIMITS
 from hapticd.fit.options import FitOptions, TapKind
 from hapticd.fit.preparation import refuse_duplicates
-from hapticd.fit.recording import Kind, NoRecordingError, Recording, RecordingError, load
+from hapticd.fit.recording import FatalRecordingError, Kind, Recording, RecordingError, load
 from hapticd.fit.result import Fit, estimates
 from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
@@ -57,7 +57,7 @@ def fitted_files(
         try:
             recordings.append(load(os.path.join(folder, file), file))
         except RecordingError as error:
-            if len(files) == 1 or isinstance(error, NoRecordingError):
+            if len(files) == 1 or isinstance(error, FatalRecordingError):
                 raise
             excluded.add(error.name, error.reason)
     if not recordings:
@@ -70,7 +70,17 @@ def fitted_files(
     unused: list[Recording] = []
     for recording in recordings:
         (unused if recording.name in excluded.recordings else used).append(recording)
-    return used, unused, fitted
+    return used, unused, replace(fitted, notes=(*_notes_of(used), *fitted.notes))
+
+
+def _notes_of(recordings: Sequence[Recording]) -> Iterator[str]:
+    """Yield each note about the reading of recordings once, with the name of the first and the number of the others."""
+    names: dict[str, list[str]] = {}
+    for recording in recordings:
+        for note in recording.notes:
+            names.setdefault(note, []).append(recording.name)
+    for note, (first, *others) in names.items():
+        yield f"{first}{f' and {len(others)} more' if others else ''}: {note}"
 
 
 def materials_of(path: str) -> dict[str, Material]:

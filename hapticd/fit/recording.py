@@ -25,24 +25,22 @@ from hapticd.analysis.recordings.clock import (
     MAX_RATE_MISMATCH,
     MAX_RECORDING_RATE_HZ,
     MIN_RECORDING_RATE_HZ,
-    UNITS_OF,
-    Quantity,
     uniform,
 )
 from hapticd.analysis.recordings.files import (
     MAX_RECORDING_BYTES,
     TABLE_READERS,
     Table,
+    csv_table,
     ending_of,
     file_bytes,
-    short_name,
-    shown_name,
 )
 from hapticd.analysis.recordings.sensor import Sensor
 from hapticd.analysis.statistics import Floats
-from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names
+from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names, short_name
 from hapticd.base.files import write_atomically
 from hapticd.base.model import Model, faults_of
+from hapticd.base.units import UNITS_OF, ColumnUnitError, Quantity, factor_of, unit_of
 from hapticd.base.yaml_source import MAX_YAML_BYTES as MAX_YAML_BYTES
 from hapticd.base.yaml_source import load_bytes, printable
 from hapticd.config.document_kinds import refuse_documents
@@ -60,22 +58,27 @@ class RecordingError(HapticdError):
         self.name, self.reason = name, reason
 
 
-class NoRecordingError(RecordingError):
-    """The file of a recording cannot be opened."""
+class FatalRecordingError(RecordingError):
+    """A fit cannot leave the recording out: its file cannot be opened, or a unit is unknown or contradictory."""
 
 
 class RecordedColumn(Model):
     """Column and unit of a quantity in the file of a recording."""
 
     column: str | int = Field(description="Its name; of a file without names its number, from 1.")
-    unit: str | None = Field(default=None, description="Its unit; the SI unit without it.")
-    scale: float = Field(default=1.0, description="What its numbers are multiplied by, before the unit.")
+    unit: str | None = Field(default=None, description="Its unit; without it that of the file, else the SI unit.")
+    scale: float | None = Field(
+        default=None, description="Factor of its numbers, which are in `unit` after it; 1 without it."
+    )
 
 
 class RecordingSidecar(Model):
     """The YAML file that describes a recording."""
 
     rate_hz: Rate | None = Field(default=None, description="Sampling rate; without it there is a column of times.")
+    skip_lines: int = Field(
+        default=0, ge=0, le=1_000_000, description="Number of lines of a .csv, from its first, that are not read."
+    )
     columns: dict[Quantity, RecordedColumn] = Field(
         default_factory=dict, description="Which columns there are; without it, those with the usual names."
     )
@@ -111,6 +114,8 @@ class Recording:
     """The accelerometer, if it is known."""
     gaps: tuple[tuple[int, int], ...] = ()
     """First sample and last sample + 1 of each gap in the times; the columns are interpolated linearly there."""
+    notes: tuple[str, ...] = ()
+    """What the user should know about how the file was read, without its name."""
 
 
 def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording:
@@ -125,11 +130,12 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
     try:
         content = file_bytes(name, MAX_RECORDING_BYTES)
     except ValueError as error:
-        raise NoRecordingError(shown, str(error)) from None
+        raise FatalRecordingError(shown, str(error)) from None
     try:
         sidecar = _sidecar(name, own_name)
-        table = _table(own_name, content, bool(sidecar.columns))
-        found, rounding_s, rate_hz = _quantities(table, sidecar, f"{shown}.yaml")
+        table = _table(own_name, content, sidecar)
+        found, rounding_s, notes = _quantities(table, sidecar, f"{shown}.yaml")
+        rate_hz = table.rate_hz
         if (
             rate_hz is not None
             and sidecar.rate_hz is not None
@@ -139,6 +145,8 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
                 f"the rate is {rate_hz:g} Hz in the file, {sidecar.rate_hz:g} Hz in the YAML: make them equal"
             )
         even, rate_hz, gaps = uniform(found, rate_hz if sidecar.rate_hz is None else sidecar.rate_hz, rounding_s)
+    except ColumnUnitError as error:
+        raise FatalRecordingError(shown, str(error)) from None
     except ValueError as error:
         raise RecordingError(shown, str(error)) from None
     except MemoryError:
@@ -160,6 +168,7 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
         source=Source(own_name, hashlib.sha256(content).hexdigest()),
         sensor=sidecar.sensor,
         gaps=gaps,
+        notes=notes,
     )
 
 
@@ -205,7 +214,7 @@ def _sidecar(name: str, own_name: str) -> RecordingSidecar:
             f"unknown unit of {quantity}, {known_names(unit, UNITS_OF[quantity])}",
         )
         for quantity, column in sidecar.columns.items()
-        if (unit := column.unit) is not None and _spelt(unit) not in UNITS_OF[quantity]
+        if (unit := column.unit) is not None and unit_of(unit, quantity) is None
     ]
     problems += [
         Problem(document.where(("columns", quantity, "scale")), "must not be 0")
@@ -219,34 +228,28 @@ def _sidecar(name: str, own_name: str) -> RecordingSidecar:
     return sidecar
 
 
-def _spelt(unit: str) -> str:
-    """Return a unit as UNITS_OF spells it, without brackets, with ^ for exponents and u for micro."""
-    bare = unit.strip().strip("[]()").strip()
-    return (
-        bare.replace("\u00b5", "u")
-        .replace("\u03bc", "u")
-        .replace("\u00b2", "^2")
-        .replace("s2", "s^2")
-        .replace("**", "^")
-    )
-
-
 # ---- The files -----------------------------------------------------------------------------------------------------
 
 
-def _table(name: str, content: bytes, named: bool) -> Table:
+def _table(name: str, content: bytes, sidecar: RecordingSidecar) -> Table:
     ending = ending_of(name)
     if ending not in TABLE_READERS:
         raise ValueError("the name of a recording must end in .csv, .npz or .wav")
-    if ending == ".wav" and not named:
+    if ending == ".wav" and not sidecar.columns:
         raise ValueError(f"a .wav needs {printable(name)}.yaml, with its columns and their scale")
+    if ending == ".csv":
+        return csv_table(
+            content, sidecar.skip_lines, f"set in {printable(name)}.yaml skip_lines, the number of lines to leave out"
+        )
+    if sidecar.skip_lines:
+        raise ValueError(f"skip_lines in {printable(name)}.yaml is for a .csv, this file has no lines")
     return TABLE_READERS[ending](content)
 
 
 def _quantities(
     table: Table, sidecar: RecordingSidecar, where: str
-) -> tuple[dict[Quantity, Floats], float, float | None]:
-    """Return the quantities in SI units, the rounding of the times in s, and the rate of the file, if it has one."""
+) -> tuple[dict[Quantity, Floats], float, tuple[str, ...]]:
+    """Return the quantities in SI units, the rounding of the times in s, and notes for the user."""
     wanted = sidecar.columns or {
         quantity: RecordedColumn(column=name) for quantity, name in COLUMN_OF.items() if name in table.names
     }
@@ -265,16 +268,16 @@ def _quantities(
         read = dict(zip(places, table.read(list(places.values())), strict=True))
     found: dict[Quantity, Floats] = {}
     rounding = 0.0
+    notes = [table.note] if table.note else []
     for quantity, column in wanted.items():
-        unit = column.unit if column.unit is not None else table.units.get(places[quantity], "")
-        if unit and _spelt(unit) not in UNITS_OF[quantity]:
-            raise ValueError(
-                f"unknown unit of {quantity} {shown_name(unit)}, known: {', '.join(UNITS_OF[quantity])}: set the "
-                f"unit in {where}"
-            )
-        factor = column.scale * (UNITS_OF[quantity][_spelt(unit)] if unit else 1.0)
+        index = places[quantity]
+        stated = table.stated_unit(index, quantity)
+        unit = None if column.unit is None else unit_of(column.unit, quantity)
+        factor = factor_of(quantity, stated, unit, column.scale, where)
+        if unit is None and stated is not None and stated.is_converted(quantity):
+            notes.append(f"the {quantity} is in {unit_of(stated.text, quantity)} by {stated.source}")
         with np.errstate(all="ignore"):
             found[quantity] = read[quantity] * factor
             if quantity == "time":
-                rounding = abs(factor) * table.rounded(places[quantity], read[quantity])
-    return found, rounding, table.rate_hz
+                rounding = abs(factor) * table.rounded(index, read[quantity])
+    return found, rounding, tuple(notes)

@@ -18,10 +18,11 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from hapticd.analysis.recordings.clock import COLUMN_OF, UNITS_OF, Quantity
+from hapticd.analysis.recordings.clock import COLUMN_OF
 from hapticd.analysis.recordings.files import MAX_RECORDING_BYTES
 from hapticd.analysis.statistics import Floats
 from hapticd.base.errors import HapticdError, InvalidError
+from hapticd.base.units import UNITS_OF, Quantity
 from hapticd.config.materials import shipped_materials
 from hapticd.fit.recording import Recording, RecordingError, load, save
 from hapticd.fit.synthesize import Stylus, taps
@@ -264,12 +265,14 @@ def test_csv_is_read_as_people_write_it(tmp_path: Path, content: bytes) -> None:
 
 def test_units_in_the_file_apply_if_the_yaml_file_gives_none(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
-    path.write_text("\n".join(["time_s,position_m,force_n", "s,mm,lbf", *lines()]))
-    assert "unknown unit of force 'lbf', known: N, mN, kN: set the unit in " in refused(path)
-    Path(f"{path}.yaml").write_text("columns: {time: {column: 1}, position: {column: 2}, force: {column: 3, unit: mN}}")
+    path.write_text("\n".join(["t,way,pull", "s,mm,lbf", *lines()]))
+    beside = Path(f"{path}.yaml")
+    beside.write_text("columns: {time: {column: 1}, position: {column: way}, force: {column: 3}}")
+    assert "unknown unit of force 'lbf' by the line of units, known: N, mN, kN: set the scale " in refused(path)
+    beside.write_text("columns: {time: {column: 1}, position: {column: way}, force: {column: 3, scale: 4.448}}")
     found = load(path)
     assert found.position_m == pytest.approx([1e-3 * row[1] for row in ROWS])
-    assert found.force_n == pytest.approx([1e-3 * row[2] for row in ROWS])
+    assert found.force_n == pytest.approx([4.448 * row[2] for row in ROWS])
 
 
 @pytest.mark.parametrize(
@@ -277,7 +280,7 @@ def test_units_in_the_file_apply_if_the_yaml_file_gives_none(tmp_path: Path) -> 
     [
         (b"", "is empty"),
         (b"time_s,force_n\n", "holds no line of numbers"),
-        (b"Lab 3\nRate;25000 Hz\nNames\n1,2\n", "lines 1 to 3 hold no numbers"),
+        (b"Lab 3\nRate;25000 Hz\nNames\n1,2\n", "lines 1 to 3, above the numbers, end in neither names nor units"),
         (b"time_s,force_n\n0,1\n0.1,\n", 'line 3 must hold numbers, holds ""'),
         (b"time_s;force_n\n0,0;1\n0,1;1.234,5\n", 'line 3 must hold numbers, holds "1.234,5"'),
         (b"time_s,force_n\n0,1\n0.1,2,3\n", "line 3 must have 2 columns, has 3"),
@@ -286,7 +289,7 @@ def test_units_in_the_file_apply_if_the_yaml_file_gives_none(tmp_path: Path) -> 
         (b"time_s,force_n,note\n" + b"0,1,a\n" * 9 + b'0,1,"a\n' * 2, "is a quotation mark not closed?"),
         (b"1," * 60_000, "none of the columns time_s"),
         (b"\0" * 100, "is not a text file"),
-        (b"\x1b[31m,\x07\n" * 40, "hold no numbers"),
+        (b"\x1b[31m,\x07\n" * 40, "holds no line of numbers in lines 1 to 40"),
     ],
 )
 def test_an_invalid_csv_is_refused(tmp_path: Path, content: bytes, told: str) -> None:
@@ -374,7 +377,7 @@ def test_every_kind_of_wav(tmp_path: Path, kind: int, bits: int, extensible: boo
     [
         (b"RIFF", "is damaged, or not a .wav of 8 to 32 bits or of floats"),
         (b"RIFF\0\0\0\0WAVE", "is damaged"),
-        (riff(1, 16, bytes(200))[:-100], "is damaged"),
+        (riff(1, 16, bytes(200))[:-100], "is cut off: 100 of 200 bytes"),
         (riff(1, 16, bytes(101)), "is damaged"),
         (riff(6, 8, bytes(100)), "Unknown wave file format: ALAW. Supported formats: PCM, IEEE_FLOAT"),
         (riff(1, 16, bytes(100), channels=0), "is damaged"),

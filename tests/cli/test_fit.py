@@ -163,6 +163,20 @@ def test_a_fit_becomes_a_material_that_can_be_loaded(kind: str, fits: Fits, caps
     assert origin.intervals == {f"{kind}.slope_per_s": (290.0, 310.0), f"{kind}.frequency_hz": (66.5, 67.5)}
 
 
+def test_notes_tell_how_recordings_were_read(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each note once, with the number of the other recordings."""
+    for name in ("c.csv", "d.csv"):
+        text = Path("a.csv" if name == "c.csv" else "b.csv").read_text()
+        Path(name).write_text(text.replace("acceleration_m_per_s2", "a_g"))
+        Path(f"{name}.yaml").write_text("columns: {time: {column: 1}, acceleration: {column: a_g}}")
+    assert main(["fit", "tap", "a.csv", "c.csv", "d.csv", "-o", "x.yaml"]) == 0
+    notes = [line for line in capsys.readouterr().err.splitlines() if " is in " in line]
+    assert notes == ["hapticd: c.csv and 1 more: the acceleration is in g by the name of its column 'a_g'"]
+    # A wrong unit refuses all recordings: it may be wrong in the others, too.
+    Path("d.csv.yaml").write_text("columns: {time: {column: 1}, acceleration: {column: a_g, unit: m/s^2}}")
+    assert "d.csv: the acceleration is in g by" in said(capsys, 1, "fit", "tap", "a.csv", "c.csv", "d.csv")
+
+
 def test_the_printed_material_can_be_loaded(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", "tap", "a.csv", "--name", "oak 2", "--stiffness", "1234"]) == 0
     captured = capsys.readouterr()

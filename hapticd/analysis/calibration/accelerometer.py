@@ -61,7 +61,11 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
     check_name(name)
     try:
         table = TABLE_READERS[ending_of(name)](file_bytes(name, MAX_RECORDING_BYTES))
-        time_s, acceleration = table.read([table.index_of(COLUMN_OF[key]) for key in ("time", "acceleration")])
+        indices = [table.index_of(COLUMN_OF[key]) for key in ("time", "acceleration")]
+        # The names state SI units; a line of units that contradicts them is refused.
+        table.stated_unit(indices[0], "time")
+        table.stated_unit(indices[1], "acceleration")
+        time_s, acceleration = table.read(indices)
         check_columns({"time": time_s, "acceleration": acceleration})
     except ValueError as error:
         raise HapticdError(f"{name}: {error}") from None

@@ -1,4 +1,4 @@
-"""Quantities of a recording and their units, and resampling of its columns to a uniform clock.
+"""Quantities of a recording, and resampling of its columns to a uniform clock.
 
 Resampling corrects jitter of the times. Gaps are bridged by straight lines. Worse times are refused.
 """
@@ -6,14 +6,14 @@ Resampling corrects jitter of the times. Gaps are bridged by straight lines. Wor
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Literal, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.statistics import Floats, require_scipy
+from hapticd.base.units import Quantity
 
-Quantity: TypeAlias = Literal["time", "acceleration", "force", "position", "tangential_position", "speed"]
 Columns: TypeAlias = dict[Quantity, Floats]
 Gaps: TypeAlias = tuple[tuple[int, int], ...]
 
@@ -26,16 +26,6 @@ COLUMN_OF: Final[dict[Quantity, str]] = {
     "speed": "speed_m_per_s",
 }
 """Name of the column of each quantity in SI units."""
-_METRES_PER_UNIT: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-UNITS_OF: Final[dict[Quantity, dict[str, float]]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "acceleration": {"m/s^2": 1.0, "mm/s^2": 1e-3, "g": 9.80665},
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
-    "position": _METRES_PER_UNIT,
-    "tangential_position": _METRES_PER_UNIT,
-    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
-}
-"""Units of each quantity that a recording may have, with their values in SI units."""
 MIN_RECORDING_SAMPLES: Final = 16
 """A shorter recording holds no tap or stroke."""
 MAX_RECORDING_SAMPLES: Final = 20_000_000

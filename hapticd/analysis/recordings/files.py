@@ -5,14 +5,14 @@ No content of a file is ever executed. Faults raise ValueError with one line, to
 
 from __future__ import annotations
 
-import csv
 import io
 import os
 import re
 import stat
+import struct
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -20,7 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.statistics import Floats, require_scipy
-from hapticd.base.errors import HapticdError, known_names, quoted
+from hapticd.base.csv_table import CsvTable, csv_table_of
+from hapticd.base.errors import HapticdError, known_names, quoted, short_name, shown_name
+from hapticd.base.units import Quantity, StatedUnit, stated_unit
 from hapticd.base.yaml_source import printable, read_file
 
 MAX_RECORDING_BYTES: Final = 2**29
@@ -48,6 +50,12 @@ class Table:
     """Content that is not a column, by its name: the reason, as a predicate for an error text."""
     rounded: Callable[[int, Floats], float] = lambda which, values: 0.0
     """Rounding step of the data type (such as float32) of the column with this index and these values; 0 if unknown."""
+    note: str = ""
+    """What the user should know about how the file was read."""
+
+    def stated_unit(self, index: int, quantity: Quantity) -> StatedUnit | None:
+        """Return the unit that the file states for a column. Raises ValueError for a contradiction."""
+        return stated_unit(self.names[index], quantity, self.units.get(index, ""))
 
     def index_of(self, column: str | int) -> int:
         """Return the index of the column with this name or number (from 1). Raises ValueError unless it is unique."""
@@ -55,22 +63,15 @@ class Table:
             if (count := self.names.count(column)) > 1:
                 raise ValueError(f"has {count} columns {quoted(column)}: set the column's number in the YAML file")
             return self.names.index(column)
+        # The line of names of an oscilloscope may look like one of units, such as Second,Volt.
+        if len(found := [index for index, unit in self.units.items() if unit == column]) == 1:
+            return found[0]
         number = str(column)
         if number in self.others:
             raise ValueError(f"{shown_name(number)} {self.others[number]}")
         if number.isascii() and number.isdigit() and len(number) < 6 and 1 <= int(number) <= len(self.names):
             return int(number) - 1
         raise ValueError(f"has no column {shown_name(number)}; {known_names(number, map(short_name, self.names))}")
-
-
-def shown_name(text: str) -> str:
-    """Return a name in quotation marks, shortened to one line."""
-    return f"'{text}'" if short_name(text) == text else quoted(text)
-
-
-def short_name(name: str) -> str:
-    """Return a name; a long or unprintable one is shortened and quoted."""
-    return name if name.isprintable() and len(name) <= 60 else quoted(name)
 
 
 def ending_of(name: str) -> str:
@@ -100,149 +101,48 @@ def file_bytes(name: str, max_bytes: int) -> bytes:
 # ---- .csv -----------------------------------------------------------------------------------------------------------
 
 
-def csv_table(content: bytes) -> Table:
-    """Return the columns of a .csv, separated by commas, semicolons, tabs or blanks.
-
-    The first line holds the names, the second may hold units. Names may also be in a comment, as numpy.savetxt writes
-    them, or missing: columns are then numbered from 1.
-    """
-    text = _text(content)
-    heads: list[tuple[int, str]] = []
-    comment = ""
-    for first, line in _lines(text):
-        if line.lstrip().startswith("#"):
-            comment = line.lstrip()[1:]
-            continue
-        delimiter = _delimiter(line)
-        cells = _cells(line, delimiter)
-        full = [cell for cell in cells if cell]
-        if 2 * sum(_number(cell, delimiter) is not None for cell in full) > len(full):
-            break
-        heads.append((first, line))
-        if len(heads) > 2:
-            raise ValueError(
-                f"lines {heads[0][0]} to {first} hold no numbers: only names in one line and units in the next may "
-                "precede them; begin other lines with #"
-            )
-    else:
-        raise ValueError("is empty" if not heads else "holds no line of numbers")
-    names, units = [""] * len(cells), []
-    if heads:
-        names = _cells(heads[0][1], delimiter)
-        units = _cells(heads[1][1], delimiter) if len(heads) > 1 else []
-    elif len(above := _cells(comment, delimiter)) == len(cells):
-        names = above
-    if any(cells[len(names) :]):
-        raise ValueError(f"line {first} must have {len(names)} columns, has {len(cells)}")
-    width = max(len(names), len(cells))
-    while names and not names[-1] and heads:
-        names.pop()
-    return Table(
-        [name or str(index + 1) for index, name in enumerate(names)],
-        lambda indices: _csv_columns(text, first, delimiter, width, indices),
-        {index: unit for index, unit in enumerate(units) if unit},
-    )
+def csv_table(content: bytes, skipped: int = 0, advice: str = "remove the other lines") -> Table:
+    """Return the columns of a .csv, as `base/csv_table` finds them, without its first `skipped` lines."""
+    table = csv_table_of(content, skipped, advice)
+    return Table(table.names, lambda indices: _csv_columns(table, indices), table.units)
 
 
-def _csv_columns(text: str, first: int, delimiter: str, width: int, indices: Sequence[int]) -> list[Floats]:
-    """Return the columns with these indices as numbers, from the lines beginning with number `first`."""
+def _csv_columns(table: CsvTable, indices: Sequence[int]) -> list[Floats]:
+    """Return the columns with these indices as numbers."""
     try:
         import pandas
     except ImportError:
         raise HapticdError("reading a .csv needs pandas: pip install 'hapticd[fit]'") from None
 
-    body = re.sub(r"(?m)^[ ,;\t]*(#.*)?$\n?", "", text.split("\n", first - 1)[-1])
+    body = re.sub(r"(?m)^[ ,;\t]*(#.*)?$\n?", "", table.text.split("\n", table.first - 1)[-1])
     try:
         frame = pandas.read_csv(
-            io.StringIO(body if delimiter == "," else body.replace(",", ".")),
-            sep=delimiter or r"\s+",
+            io.StringIO(body if table.delimiter == "," else body.replace(",", ".")),
+            sep=table.delimiter or r"\s+",
             header=None,
-            names=range(width),
+            names=range(table.width),
             index_col=False,
             dtype=dict.fromkeys(indices, np.float64),
             skipinitialspace=True,
             low_memory=False,
         )
     except ValueError:
-        raise ValueError(_csv_fault(text, first, delimiter, width, indices) or _UNCLOSED_QUOTE_TEXT) from None
+        raise ValueError(_csv_fault(table, indices) or _UNCLOSED_QUOTE_TEXT) from None
     columns: list[Floats] = [frame[index].to_numpy(np.float64) for index in indices]
     if len(frame) != body.strip("\n").count("\n") + 1:
-        raise ValueError(_csv_fault(text, first, delimiter, width, indices) or _UNCLOSED_QUOTE_TEXT)
+        raise ValueError(_csv_fault(table, indices) or _UNCLOSED_QUOTE_TEXT)
     # In a line with a cell too few the values are in the wrong columns, and the last cell is missing.
-    if frame[width - 1].isna().any() or not all(np.isfinite(column).all() for column in columns):
-        fault = _csv_fault(text, first, delimiter, width, indices)
+    if frame[table.width - 1].isna().any() or not all(np.isfinite(column).all() for column in columns):
+        fault = _csv_fault(table, indices)
         if fault is not None:
             raise ValueError(fault)
     return columns
 
 
-def _csv_fault(text: str, first: int, delimiter: str, width: int, indices: Sequence[int]) -> str | None:
+def _csv_fault(table: CsvTable, indices: Sequence[int]) -> str | None:
     """Return the fault of the first line in which these columns are unreadable; None without such a line."""
-    for number, line in _lines(text):
-        if number < first or line.lstrip().startswith("#"):
-            continue
-        cells = _cells(line, delimiter)
-        if len(cells) != width:
-            return f"line {number} must have {width} columns, has {len(cells)}"
-        for index in indices:
-            value = _number(cells[index], delimiter)
-            if value is None or not np.isfinite(value):
-                return f"line {number} must hold numbers, holds {quoted(cells[index])} (a missing sample?)"
-    return None
-
-
-def _text(content: bytes) -> str:
-    """Decode UTF-8, UTF-16 with a byte order mark, or Latin-1, and normalize line ends to line feeds."""
-    encodings = ["utf-16"] if content.startswith((b"\xff\xfe", b"\xfe\xff")) else ["utf-8-sig", "latin-1"]
-    for encoding in encodings:
-        try:
-            text = content.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        if "\0" not in text:
-            return text.replace("\r\n", "\n").replace("\r", "\n")
-    raise ValueError("is not a text file")
-
-
-def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """Yield the lines that are not empty, with their numbers from 1."""
-    found = re.finditer(r".+|\n", text)
-    number = 1
-    for match in found:
-        line = match[0]
-        if line == "\n":
-            number += 1
-        elif line.strip(" ,;\t"):
-            yield number, line
-
-
-def _delimiter(line: str) -> str:
-    """Return the delimiter of the cells of a line: semicolon, tab or comma; "" for blanks.
-
-    In a line with semicolons or tabs, a comma is a decimal comma.
-    """
-    bare = re.sub(r'"[^"]*"', '""', line)
-    for delimiter in ";\t,":
-        if delimiter in bare:
-            return delimiter
-    return "" if len(bare.split()) > 1 else ","
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    if not delimiter:
-        return [cell.strip('"') for cell in line.split()]
-    try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
-    except csv.Error as error:
-        raise ValueError(f"is not a table: {error}") from None
-
-
-def _number(cell: str, delimiter: str) -> float | None:
-    """Return the number in a cell; None if the cell does not hold a number."""
-    try:
-        return float(cell if delimiter == "," else cell.replace(",", "."))
-    except ValueError:
-        return None
+    faults = ((number, table.fault(cells, indices)) for number, cells in table.lines())
+    return next((f"line {number} {fault}" for number, fault in faults if fault is not None), None)
 
 
 # ---- .npz -----------------------------------------------------------------------------------------------------------
@@ -325,6 +225,7 @@ def wav_table(content: bytes) -> Table:
     require_scipy()
     from scipy.io import wavfile
 
+    content, note = _with_sizes(content)
     try:
         with warnings.catch_warnings():
             # Unknown chunks are skipped, missing samples are an error.
@@ -345,7 +246,59 @@ def wav_table(content: bytes) -> Table:
         silent = 128.0 if samples.dtype.kind == "u" else 0.0
         return [(part - silent) / 2.0 ** (8 * samples.itemsize - 1) for part in parts]
 
-    return Table([str(index + 1) for index in range(len(channels))], read, {}, float(rate_hz))
+    return Table([str(index + 1) for index in range(len(channels))], read, {}, float(rate_hz), note=note)
+
+
+def _with_sizes(content: bytes) -> tuple[bytes, str]:
+    """Return a .wav with the true sizes of the file and of its samples, and a note for the user.
+
+    A program that writes to a pipe does not know the sizes, and writes 0 or a number near 2 or 4 GiB instead. RF64 and
+    BW64 hold the sizes in a chunk `ds64`, and are returned as RIFF. Raises ValueError if samples are missing.
+    """
+    order = ">" if content[:4] == b"RIFX" else "<"
+    place, frame_bytes, ds64_size = 12, 1, 2**32 - 1
+    while content[place : place + 4] != b"data":
+        if place + 8 > len(content):
+            return content, ""
+        (size,) = struct.unpack_from(f"{order}I", content, place + 4)
+        body = content[place + 8 : place + 24]
+        if content[place : place + 4] == b"ds64":
+            ds64_size = int.from_bytes(body[8:16], "little")
+        elif content[place : place + 4] == b"fmt " and len(body) >= 14:
+            frame_bytes = max(1, *struct.unpack_from(f"{order}H", body, 12))
+        place += 8 + size + size % 2
+    begin = place + 8
+    if begin > len(content):
+        return content, ""
+    riff_size, size = (struct.unpack_from(f"{order}I", content, at)[0] for at in (4, place + 4))
+    if size == 2**32 - 1:
+        size = ds64_size
+    there = len(content) - begin
+    # sox writes 0x7ffff000 without a part of a frame, arecord up to 0x80000000, ffmpeg 0xffffffff.
+    is_unknown = 2**31 - 8192 <= size <= 2**31 or 2**32 - 8192 <= size < 2**32 or size == 2**64 - 1
+    note = ""
+    if is_unknown or (size == 0 and not _are_chunks(content[begin:], order)):
+        size = there - there % frame_bytes
+        note = (
+            "the header does not give the number of samples, as if written to a pipe: all bytes to the end of the file "
+            "are read as samples"
+        )
+    elif size > there:
+        raise ValueError(f"is cut off: {there} of {size} bytes of its samples are there")
+    if not note and content[:4] in (b"RIFF", b"RIFX") and begin + size <= riff_size + 8 <= len(content):
+        return content, ""
+    form = b"RIFX" if order == ">" else b"RIFF"
+    riff, data = (struct.pack(f"{order}I", each) for each in (begin + size - 8, size))
+    return b"".join((form, riff, content[8 : begin - 4], data, content[begin : begin + size], b"\0" * (size % 2))), note
+
+
+def _are_chunks(content: bytes, order: str) -> bool:
+    """Return whether chunks fill these bytes, which may be none, to the end."""
+    place = 0
+    while place + 8 <= len(content) and content[place : place + 4].strip().isalnum():
+        size = struct.unpack_from(f"{order}I", content, place + 4)[0]
+        place += 8 + size + size % 2
+    return place in (len(content), len(content) + 1)
 
 
 TABLE_READERS: Final[Mapping[str, Callable[[bytes], Table]]] = {".csv": csv_table, ".npz": npz_table, ".wav": wav_table}
