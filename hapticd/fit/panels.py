@@ -138,7 +138,7 @@ def _waveform(fit: WaveformFit) -> Row:
     speed, peak = _columns(fit.taps, "speed_m_per_s", "peak_m_per_s2")
     lines = law("largest acceleration of each tap", "m/s", speed, peak, fit.first_peak_slope_per_s)
     if fit.amplitudes:
-        lines = dataclasses.replace(lines, curves=(*lines.curves, _table(fit.amplitudes)))
+        lines = _bent(lines, fit.amplitudes)
     samples, half = np.array(fit.samples), np.array(fit.deviations)
     ms: Floats = np.asarray(1e3 * np.arange(len(samples)) / fit.rate_hz, dtype=np.float64)
     fine = np.linspace(0.0, fit.length_s, 500)
@@ -156,24 +156,35 @@ def _ringing(fit: TapFit) -> Row:
     lines = law("amplitude of each tap", "m/s", speed, amplitude, fit.slope_per_s)
     ends = lines.curves[1].x
     offset = Curve("offset", ends, fit.offset_m_per_s2.value + fit.offset_slope_per_s.value * ends, dashed=True)
-    curves = (*lines.curves, offset) if fit.linear else (*lines.curves, offset, _table(fit.amplitudes))
+    lines = dataclasses.replace(lines, curves=(*lines.curves, offset))
+    if not fit.linear:
+        lines = _bent(lines, fit.amplitudes)
 
     def less(curve: Curve) -> Curve:
-        """Return the curve of amplitudes minus the fitted line through the origin."""
-        line = fit.slope_per_s.value * curve.x
-        low, high = (None if end is None else end - line for end in (curve.low, curve.high))
-        return dataclasses.replace(curve, y=curve.y - line, low=low, high=high)
+        """Return the curve of amplitudes minus the model."""
+        model = np.interp(curve.x, lines.curves[1].x, lines.curves[1].y)
+        low, high = (None if end is None else end - model for end in (curve.low, curve.high))
+        return dataclasses.replace(curve, y=curve.y - model, low=low, high=high)
 
     return (
-        dataclasses.replace(lines, curves=curves),
-        Panel("amplitude less the line", "m/s", ACCELERATION_UNIT, tuple(map(less, curves))),
+        lines,
+        Panel("amplitude less the model", "m/s", ACCELERATION_UNIT, tuple(map(less, lines.curves))),
         level("frequency of each tap", "m/s", "Hz", speed, angular / (2 * np.pi), fit.frequency_hz),
     )
 
 
-def _table(amplitudes: Amplitudes) -> Curve:
-    points, heights = np.array([(0.0, 0.0), *((place, height.value) for place, height in amplitudes)]).T
-    return Curve("table", points, heights, dashed=True)
+def _bent(lines: Panel, amplitudes: Amplitudes) -> Panel:
+    """Return a picture of `law` whose model is the law with these points, and whose line is dashed."""
+    dots, line, *others = lines.curves
+    speeds = np.array([0.0, *(speed for speed, _ in amplitudes)])
+    value, low, high = (
+        np.array([0.0, *(getattr(each, name) for _, each in amplitudes)]) for name in ("value", "low", "high")
+    )
+    # The points of a power law go beyond the taps.
+    shown = speeds <= max(line.x[-1], speeds[1])
+    model = Curve("model", speeds[shown], value[shown], low=low[shown], high=high[shown])
+    dashed = Curve("line through 0", line.x, line.y, dashed=True)
+    return dataclasses.replace(lines, curves=(dots, model, dashed, *others))
 
 
 def _columns(events: Sequence[object], *names: str) -> tuple[Floats, ...]:

@@ -42,12 +42,6 @@ class FakeSecond:
 
 
 @dataclass(frozen=True, slots=True)
-class FakeLaw:
-    kind: str
-    power: None = None
-
-
-@dataclass(frozen=True, slots=True)
 class FakeFit:
     slope_per_s: Estimate
     frequency_hz: Estimate
@@ -59,15 +53,10 @@ class FakeFit:
     left_out: tuple[Exclusion, ...] = ()
     found: tuple[tuple[str, object], ...] = ()
     linear: bool = True
+    power: None = None
     second: object = None
 
-    @property
-    def law(self) -> FakeLaw:
-        return FakeLaw("line" if self.linear else "table")
-
-    def material(
-        self, attack: str = "coefficient", law: str | None = None, two_modes: bool = False, mode_table: None = None
-    ) -> dict[str, object]:
+    def material(self, attack: str = "coefficient", two_modes: bool = False) -> dict[str, object]:
         tap: dict[str, object] = {
             "attack_slope_per_s": self.slope_per_s.value,
             "frequency_hz": self.frequency_hz.value,
@@ -75,7 +64,7 @@ class FakeFit:
         }
         if attack != "coefficient":
             tap["attack"] = attack
-        if (law or self.law.kind) == "table":
+        if not self.linear:
             del tap["attack_slope_per_s"]
             tap["amplitudes"] = [[0.1, 30.0]]
         if two_modes:
@@ -128,8 +117,16 @@ def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
     for kind in ("grooves", "texture", "puncture"):
         monkeypatch.setattr(f"hapticd.fit.{kind}.fit_{kind}", found.fit)
 
-    def fit_taps(recordings: Sequence[Recording], kind: str, progress: Progress, excluded: object) -> FakeFit:
-        return found.fit(recordings, progress, excluded=excluded)
+    def fit_taps(
+        recordings: Sequence[Recording],
+        kind: str,
+        progress: Progress,
+        excluded: object,
+        law: str | None,
+        mode_table: bool | None,
+    ) -> FakeFit:
+        fit = found.fit(recordings, progress, excluded=excluded)
+        return fit if law is None else dataclasses.replace(fit, linear=law == "line")
 
     monkeypatch.setattr("hapticd.fit.from_files.fit_taps", fit_taps)
     for name, seed in (("a.csv", 1), ("b.csv", 2)):
