@@ -190,7 +190,9 @@ def law_of(
         return 1 - squares(model) / about if about > 0 else 0.0
 
     def left(model: Floats) -> float:
-        return float(np.sqrt(np.mean(((amplitudes - model) / np.maximum(np.abs(model), 1e-300)) ** 2)))
+        # A table may be 0 at a tap.
+        size = np.maximum(np.abs(model), 1e-9 * float(np.max(amplitudes)))
+        return float(np.sqrt(np.mean(((amplitudes - model) / size) ** 2)))
 
     root = np.sqrt(weights)
     line = through_origin(speeds * root, amplitudes * root).coefficients[0].value * speeds

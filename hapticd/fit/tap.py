@@ -868,8 +868,9 @@ def _log_table(speeds: Floats, knots: Floats, logs: Floats, variances: Floats) -
     """Fit a table, linear between its `knots`, to a quantity with the natural logarithms `logs` (n,).
 
     The coefficients are the logarithms at the knots, by Gauss-Newton steps. No value of the table leaves the range of
-    the taps' values.
+    the taps' values by more than the factor 1 + TAP_LIMITS.max_table_error.
     """
+    reach = math.log1p(TAP_LIMITS.max_table_error)
     hats = np.column_stack([np.interp(speeds, knots, row) for row in np.eye(len(knots))])
     at = np.full(len(knots), float(np.mean(logs)))
     for _ in range(50):
@@ -877,7 +878,7 @@ def _log_table(speeds: Floats, knots: Floats, logs: Floats, variances: Floats) -
         model = parts.sum(axis=1)
         columns = parts / model[:, None]
         found = statistics.least_squares(columns, logs - np.log(model) + columns @ at, variances)
-        before, at = at, np.clip([each.value for each in found.coefficients], logs.min(), logs.max())
+        before, at = at, np.clip([each.value for each in found.coefficients], logs.min() - reach, logs.max() + reach)
         if np.abs(at - before).max() < 1e-9:
             break
     halves = [each.high - each.value for each in found.coefficients]

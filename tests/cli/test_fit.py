@@ -479,8 +479,7 @@ def test_synthetic_recordings_are_fitted_back(
     """Synthesize each kind, fit it into one material and draw it; fitted values are those that `synthesize` prints."""
     monkeypatch.chdir(tmp_path)
     short = {"tap": (), "grooves": ("--duration", "0.5"), "texture": ("--duration", "3"), "puncture": ()}
-    # The peak of a broad spectrum has the largest uncertainty.
-    within = {"peak_hz": 0.4, "mean_hz": 0.05, "velocity_gain_per_s": 0.2, "force_gain_m_per_s2_per_n": 0.2}
+    within = {"mean_hz": 0.05, "velocity_gain_per_s": 0.2, "force_gain_m_per_s2_per_n": 0.2}
     for kind, more in short.items():
         assert main(["fit", "synthesize", kind, "-o", f"{kind}.npz", "--noise", "0.01", "--json", *more]) == 0
         made = json.loads(capsys.readouterr().out)
@@ -493,6 +492,10 @@ def test_synthetic_recordings_are_fitted_back(
         assert len(made["truth"]) >= 4
         for name, truth in made["truth"].items():
             found = result["fit"][name]
+            if name == "peak_hz":
+                # 12 s do not resolve the peak of a broad spectrum.
+                assert found is None and truth < result["fit"]["peak_below_hz"]
+                continue
             assert found["value"] == pytest.approx(truth, rel=within.get(name, 0.02) if kind == "texture" else 0.02)
             assert found["low"] <= found["value"] <= found["high"]
     assert Path("tap.html").read_text().count("data:image/png;base64,") == 4
