@@ -682,6 +682,12 @@ def test_the_second_mode_has_intervals_and_a_table() -> None:
     loaded = Tap.model_validate(figures["tap"])
     assert loaded.second is not None and loaded.amplitudes is not None
     assert loaded.amplitude_m_per_s2(0.25) == pytest.approx(0.25 * tap_truth("delrin"), rel=0.03)
+    # Another law of both modes has other points.
+    curved = fit_tap([with_shape("delrin", other, 0.02)], law="power")
+    tap = Tap.model_validate(curved.material(two_modes=True)["tap"])
+    assert tap.amplitudes is not None and curved.power is not None
+    assert tap.amplitudes[0][0] == pytest.approx(curved.power.points[0][0])
+    assert tap.amplitude_m_per_s2(0.25) == pytest.approx(0.25 * tap_truth("delrin"), rel=0.03)
     with pytest.raises(FitError, match="need attack: coefficient"):
         fit.material("first_peak", two_modes=True)
 
