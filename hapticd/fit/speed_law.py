@@ -230,11 +230,11 @@ def law_of(
             )
         kind = "line"
     if kind == "line" and r_squared(line) < LOWER_LIMITS["r^2 of the law of taps"].fair and len(speeds) > 3:
-        scatters = {each: left(model) for each, (model, _) in laid.items()}
-        least = min(scatters, key=lambda each: scatters[each])
-        if scatters[least] < scatters["line"] / 2:
-            why = f"a line leaves a scatter of {100 * scatters['line']:.0f} %, this law {100 * scatters[least]:.2g} %"
-            kind = least
+        for other in laid:
+            scatter = left(laid[other][0])
+            if kind == "line" and scatter < left(line) / 2:
+                why = f"a line leaves a scatter of {100 * left(line):.0f} %, this law {100 * scatter:.2g} %"
+                kind = other
     if kind != "table":
         chosen_table = table(speeds, amplitudes, variances)
         laid["table"] = (_along(chosen_table, speeds), math.inf)
