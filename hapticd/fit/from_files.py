@@ -167,7 +167,7 @@ def fit_taps(
     of_mode, of_waveform = excluded.copy(), excluded.copy()
     ringing: TapFit | FitError
     try:
-        ringing = fit_tap(recordings, progress, of_mode)
+        ringing = fit_tap(recordings, progress, of_mode, law, mode_table)
     except FitError as error:
         ringing = error
     found = _better_waveform(ringing, recordings, of_waveform)

@@ -12,10 +12,11 @@ from scipy import optimize
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, rank_correlation
 from hapticd.fit import speed_law
+from hapticd.fit.from_files import fit_taps
 from hapticd.fit.panels import page_of
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.speed_law import LawKind, law_of
-from hapticd.fit.tap import Figures, fit_tap, modes_of
+from hapticd.fit.tap import Figures, TapFit, fit_tap, modes_of
 from hapticd.fit.verdict import Warnings
 
 SPEEDS = np.geomspace(0.05, 0.5, 12)
@@ -138,8 +139,8 @@ def test_a_power_law_is_judged_as_a_power_law(speeds: Floats, exponent: float, p
 @pytest.mark.parametrize("kind", ["line", "power", "table"])
 def test_the_law_of_the_fit_is_that_of_the_material(kind: LawKind) -> None:
     amplitudes = scattered(60 * SLOW**0.45, 0.1, 14)
-    fit = fit_tap(tapped(SLOW, amplitudes), law=kind)
-    assert fit.law.kind == kind and fit.linear == (kind == "line")
+    fit = fit_taps(tapped(SLOW, amplitudes), law=kind)
+    assert isinstance(fit, TapFit) and fit.law.kind == kind and fit.linear == (kind == "line")
     tap = fit.material()["tap"]
     assert isinstance(tap, dict)
     dots, model, *_ = page_of("tap", "", fit, []).rows[0][0].curves
