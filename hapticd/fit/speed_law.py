@@ -376,7 +376,9 @@ def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | Non
 
     def at(speed: float) -> Estimate:
         here = float(height + exponent * math.log(speed / middle))
-        return _step(np.log(speeds / speed), amplitudes, variances, here, float(exponent))[0].mapped(math.exp)
+        found = _step(np.log(speeds / speed), amplitudes, variances, here, float(exponent))[0]
+        # The interval of three taps may be beyond the largest float.
+        return found.mapped(lambda log: math.exp(min(log, 700.0)))
 
     # Lines within a thousandth of the law, from half the speed of the slowest tap to twice that of the fastest.
     first, last = max(1e-4, float(speeds.min()) / 2), min(100.0, float(speeds.max()) * 2)

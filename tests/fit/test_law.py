@@ -92,6 +92,11 @@ def test_few_taps_are_a_line() -> None:
     assert law.kind == "line" and law.why == "too few taps to compare laws"
 
 
+def test_three_taps_have_a_power_law_whose_interval_is_finite() -> None:
+    law = law_of(np.array([0.106, 0.11, 0.103]), np.array([0.2, 7.3, 6.5]), np.ones(3), "power")
+    assert law.power is not None and 0 < law.power.coefficient_m_per_s2.high < math.inf
+
+
 # ---- Judgement -------------------------------------------------------------------------------------------------------
 
 
