@@ -210,6 +210,17 @@ def _correlation(one: Floats, other: Floats) -> float:
     return float(np.sum(one * other)) / norm if norm > 0 else math.nan
 
 
+def rank_correlation(one: Floats, other: Floats) -> float:
+    """Return Spearman's rank correlation of two quantities (n,); equal values have their mean rank. 0 if undefined."""
+
+    def ranks(values: Floats) -> Floats:
+        ordered = np.sort(values)
+        return np.asarray(np.searchsorted(ordered, values) + np.searchsorted(ordered, values, side="right"), float)
+
+    found = _correlation(ranks(one), ranks(other))
+    return found if math.isfinite(found) else 0.0
+
+
 def _scatter(columns: Floats, y: Floats, own: Floats, ratios: Floats) -> float:
     """Return the mean variance of the additional scatter. `own` are the points' measurement variances."""
     freedom = len(y) - columns.shape[1]

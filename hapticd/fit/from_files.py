@@ -21,6 +21,7 @@ from hapticd.fit.options import FitOptions, TapKind
 from hapticd.fit.preparation import refuse_duplicates
 from hapticd.fit.recording import FatalRecordingError, Kind, Recording, RecordingError, load
 from hapticd.fit.result import Fit, estimates
+from hapticd.fit.speed_law import LawKind
 from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
 from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of
@@ -122,19 +123,20 @@ def _fit(kind: Kind, options: FitOptions, recordings: Sequence[Recording], step:
 
 def _fitted_taps(options: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
     form: TapKind = options.form or ("mode" if options.of_modes else "auto")
-    found = fit_taps(recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded)
+    found = fit_taps(
+        recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded, options.law, options.mode_table
+    )
     if isinstance(found, WaveformFit):
         notes = () if form == "waveform" else (AS_WAVEFORM,)
         return Fitted(found, found.material(), notes, ("first_peak_slope_per_s",) if found.amplitudes else ())
-    kind = options.law or found.law.kind
     two = options.two_modes if options.two_modes is not None else found.second is not None and found.second.kept
-    figures = found.material(options.attack or "coefficient", kind, two, options.mode_table)
+    figures = found.material(options.attack or "coefficient", two)
     notes_of_mode = []
-    if kind == "power" and found.law.power is not None:
-        points = found.law.power.points
+    if found.power is not None:
+        points = found.power.points
         notes_of_mode.append(
             f"the power law is written as {len(points)} amplitudes over speed, which are within "
-            f"{100 * found.law.power.off:.2g} % of it from {points[0][0]:.3g} to {points[-1][0]:.3g} m/s"
+            f"{100 * found.power.off:.2g} % of it from {points[0][0]:.3g} to {points[-1][0]:.3g} m/s"
         )
     if found.second is not None and not two:
         notes_of_mode.append("--two-modes takes both modes into the material")
@@ -145,8 +147,7 @@ def _fitted_taps(options: FitOptions, recordings: Sequence[Recording], step: Ste
         name
         for name in estimates(found)
         if name.startswith("second.") != two
-        or (kind != "line" and ("slope" in name or "offset" in name))
-        or (kind != "power" and name.startswith("power."))
+        or (not found.linear and ("slope" in name or "offset" in name))
         or (isinstance(tap, dict) and "mode_table" in tap and name in table)
     }
     return Fitted(found, figures, tuple(notes_of_mode), without)
@@ -157,8 +158,10 @@ def fit_taps(
     kind: TapKind = "auto",
     progress: Callable[[Recording], None] | None = None,
     excluded: Exclusions | None = None,
+    law: LawKind | None = None,
+    mode_table: bool | None = None,
 ) -> TapFit | WaveformFit:
-    """Fit the taps of one material by modes or by a waveform; `progress` and `excluded` are those of fit_tap.
+    """Fit the taps of one material by modes or by a waveform; the parameters from `progress` on are those of fit_tap.
 
     Raises FitError (one line), that of the fit by modes, if the recordings support neither fit.
     """
@@ -166,7 +169,7 @@ def fit_taps(
     refuse_duplicates(recordings)
     excluded = Exclusions() if excluded is None else excluded
     if kind == "mode":
-        return fit_tap(recordings, progress, excluded)
+        return fit_tap(recordings, progress, excluded, law, mode_table)
     if kind == "waveform":
         warnings: list[str] = []
         return fit_waveform(pulses_of(recordings, warnings, excluded), warnings, excluded)
@@ -174,7 +177,7 @@ def fit_taps(
     of_mode, of_waveform = excluded.copy(), excluded.copy()
     ringing: TapFit | FitError
     try:
-        ringing = fit_tap(recordings, progress, of_mode)
+        ringing = fit_tap(recordings, progress, of_mode, law, mode_table)
     except FitError as error:
         ringing = error
     found = _better_waveform(ringing, recordings, of_waveform)

@@ -82,6 +82,7 @@ class TapLimits:
     max_decay_time: float = _limit(0.5, "fraction of the fitted time", "A slower decay is not that of a tap.")
     min_frequency_change: float = _limit(0.02, "fraction", "A smaller change with speed needs no table of modes.")
     min_decay_change: float = _limit(0.1, "fraction", "A smaller change with speed needs no table of modes.")
+    max_table_error: float = _limit(2.0, "fraction", "A table of modes with a more uncertain value is not used.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +101,7 @@ class SpeedLawLimits:
     max_table_speeds: int = _limit(8, "speeds", "A material needs no finer table.")
     min_table_step: float = _limit(1.02, "ratio of neighbours", "Speeds of a table that differ less are merged.")
     max_scatter: float = _limit(0.15, "RMS fraction of the law", "The r^2 of a curve with less scatter is not judged.")
+    high_rank_correlation: float = _limit(0.8, "rank correlation", "Above this the amplitudes rise from tap to tap.")
     min_outlier_distance: float = _limit(0.25, "fraction of the line", "A single tap farther off the line is reported.")
 
 

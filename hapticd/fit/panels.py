@@ -97,12 +97,17 @@ def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
     return (*panels, Panel("spectrum", "Hz", DENSITY_UNIT, spectra, logarithmic=True))
 
 
-def law(title: str, x_label: str, x: Floats, y: Floats, gain: Estimate) -> Panel:
-    """Return a picture of amplitudes versus speed or force, and the fitted line through 0 with its interval."""
+def law(title: str, x_label: str, x: Floats, y: Floats, gain: Estimate, bent: Amplitudes = ()) -> Panel:
+    """Return a picture of amplitudes versus speed or force and their model: a line through 0, or the points `bent`."""
     ends = np.linspace(0.0, 1.05 * float(np.max(x)), 50)
     dots = Curve("recorded", x, y, points=True)
-    line = Curve("model", ends, gain.value * ends, low=gain.low * ends, high=gain.high * ends)
-    return Panel(title, x_label, ACCELERATION_UNIT, (dots, line))
+    model = Curve("model", ends, gain.value * ends, low=gain.low * ends, high=gain.high * ends)
+    line: tuple[Curve, ...] = ()
+    if bent:
+        line = (Curve("line through 0", ends, model.y, dashed=True),)
+        at, y, low, high = np.array([(0.0,) * 4, *((at, each.value, each.low, each.high) for at, each in bent)]).T
+        model = Curve("model", at, y, low=low, high=high)
+    return Panel(title, x_label, ACCELERATION_UNIT, (dots, model, *line))
 
 
 def level(title: str, x_label: str, y_label: str, x: Floats, y: Floats, value: Estimate) -> Panel:
@@ -136,9 +141,7 @@ def _tap(fit: TapFit | WaveformFit, recordings: Sequence[Recording]) -> Iterator
 
 def _waveform(fit: WaveformFit) -> Row:
     speed, peak = _columns(fit.taps, "speed_m_per_s", "peak_m_per_s2")
-    lines = law("largest acceleration of each tap", "m/s", speed, peak, fit.first_peak_slope_per_s)
-    if fit.amplitudes:
-        lines = dataclasses.replace(lines, curves=(*lines.curves, _table(fit.amplitudes)))
+    lines = law("largest acceleration of each tap", "m/s", speed, peak, fit.first_peak_slope_per_s, fit.amplitudes)
     samples, half = np.array(fit.samples), np.array(fit.deviations)
     ms: Floats = np.asarray(1e3 * np.arange(len(samples)) / fit.rate_hz, dtype=np.float64)
     fine = np.linspace(0.0, fit.length_s, 500)
@@ -153,27 +156,23 @@ def _ringing(fit: TapFit) -> Row:
     speed, amplitude, angular = _columns(
         fit.taps, "speed_m_per_s", "coefficient_m_per_s2", "angular_frequency_rad_per_s"
     )
-    lines = law("amplitude of each tap", "m/s", speed, amplitude, fit.slope_per_s)
-    ends = lines.curves[1].x
+    bent = () if fit.linear else fit.amplitudes
+    lines = law("amplitude of each tap", "m/s", speed, amplitude, fit.slope_per_s, bent)
+    ends = np.linspace(0.0, 1.05 * float(np.max(speed)), 50)
     offset = Curve("offset", ends, fit.offset_m_per_s2.value + fit.offset_slope_per_s.value * ends, dashed=True)
-    curves = (*lines.curves, offset) if fit.linear else (*lines.curves, offset, _table(fit.amplitudes))
+    curves = (*lines.curves, offset)
 
     def less(curve: Curve) -> Curve:
-        """Return the curve of amplitudes minus the fitted line through the origin."""
-        line = fit.slope_per_s.value * curve.x
-        low, high = (None if end is None else end - line for end in (curve.low, curve.high))
-        return dataclasses.replace(curve, y=curve.y - line, low=low, high=high)
+        """Return the curve of amplitudes minus the model."""
+        model = np.interp(curve.x, curves[1].x, curves[1].y)
+        low, high = (None if end is None else end - model for end in (curve.low, curve.high))
+        return dataclasses.replace(curve, y=curve.y - model, low=low, high=high)
 
     return (
         dataclasses.replace(lines, curves=curves),
-        Panel("amplitude less the line", "m/s", ACCELERATION_UNIT, tuple(map(less, curves))),
+        Panel("amplitude less the model", "m/s", ACCELERATION_UNIT, tuple(map(less, curves))),
         level("frequency of each tap", "m/s", "Hz", speed, angular / (2 * np.pi), fit.frequency_hz),
     )
-
-
-def _table(amplitudes: Amplitudes) -> Curve:
-    points, heights = np.array([(0.0, 0.0), *((place, height.value) for place, height in amplitudes)]).T
-    return Curve("table", points, heights, dashed=True)
 
 
 def _columns(events: Sequence[object], *names: str) -> tuple[Floats, ...]:

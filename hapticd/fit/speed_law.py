@@ -7,6 +7,8 @@ The law with the lowest AICc is chosen (Akaike's criterion, corrected for few po
 S is the weighted sum of squared residuals of n taps, k the number of parameters including the scale of the scatter. All
 laws have the same weights, from the noise and a scatter proportional to the amplitude. The line is chosen unless
 another law has an AICc lower by SPEED_LAW_LIMITS.min_aicc_gain and differs from the line by SPEED_LAW_LIMITS.min_bend.
+AICc is strict with few taps: if the line explains the amplitudes poorly, another law that leaves less than half of the
+line's scatter is chosen.
 """
 
 from __future__ import annotations
@@ -26,13 +28,14 @@ from hapticd.analysis.statistics import (
     aicc,
     f_test_p,
     least_squares,
+    rank_correlation,
     student_t,
     through_origin,
     with_offset,
 )
 from hapticd.base.yaml_source import Json
 from hapticd.fit.limits import SPEED_LAW_LIMITS
-from hapticd.fit.verdict import Warnings
+from hapticd.fit.verdict import LOWER_LIMITS, UPPER_LIMITS, Warnings
 
 LawKind: TypeAlias = Literal["line", "power", "table"]
 Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
@@ -75,24 +78,16 @@ def check_speeds(taps: Sequence[Tap]) -> None:
         )
 
 
-def check_slope(slope: Estimate) -> None:
-    """Raise FitError if the slope of amplitude with speed is not significantly positive."""
-    if not slope.low > 0:
-        raise FitError(
-            f"the amplitude does not rise with the speed: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
-            f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
-        )
+def check_hardness(speeds: Floats, amplitudes: Floats, angular_frequency: float, name: str) -> None:
+    """Raise FitError if most ratios of amplitude to speed are impossible for a tap of this angular frequency.
 
-
-def check_hardness(slope_per_s: float, angular_frequency: float, name: str) -> None:
-    """Raise FitError if the ratio of the slope to the angular frequency is impossible for a tap.
-
-    The ratio is 1 for a mass that rings elastically, and 0.07 to 0.87 for the seven materials of Okamura et al. 1998.
-    `name` is the name of the angular frequency in the error.
+    The ratio is the angular frequency for a mass that rings elastically, and 0.07 to 0.87 times the angular frequency
+    for the seven materials of Okamura et al. 1998. `name` is the name of the angular frequency in the error.
     """
     softest, hardest = SPEED_LAW_LIMITS.min_slope_to_angular_frequency, SPEED_LAW_LIMITS.max_slope_to_angular_frequency
+    low, slope_per_s, high = map(float, np.percentile(amplitudes / speeds, (25.0, 50.0, 75.0)))
     ratio = slope_per_s / angular_frequency
-    if not softest <= ratio <= hardest:
+    if not (softest * angular_frequency <= high and low <= hardest * angular_frequency):
         raise FitError(
             f"the ratio of amplitude to speed is {slope_per_s:.4g} 1/s: must be between {softest:g} and {hardest:g} "
             f"times {name}, is {ratio:.2g} times: is the acceleration or the speed off by a thousand (mm, g)?"
@@ -139,6 +134,10 @@ class Law:
     """r^2 of the chosen law, about the weighted mean."""
     left: float
     """RMS residual of the chosen law, as a fraction of the amplitudes."""
+    rank_correlation: float
+    """Spearman's rank correlation of speed and amplitude."""
+    why: str
+    """Reason for the chosen law, in words."""
 
     @property
     def named(self) -> str:
@@ -154,18 +153,6 @@ class Law:
         """Value of `amplitudes` of a material: points on the curve of the power law, or the table."""
         return self.power.points if self.kind == "power" and self.power is not None else self.table
 
-    @property
-    def why(self) -> str:
-        """Reason for the chosen law, in words: the differences of the other laws' AICc from that of the chosen law."""
-        names: Mapping[LawKind, str] = {"line": "a line", "power": "a power law", "table": "a table"}
-        others = " and ".join(f"{above:.1f} for {names[kind]}" for kind, above in self.above.items() if above > 0)
-        if self.kind == "line" and self.above.get("line", 0.0) > 0:
-            return (
-                f"AICc of another law is lower by less than {SPEED_LAW_LIMITS.min_aicc_gain:g}, "
-                f"or it differs by less than {100 * SPEED_LAW_LIMITS.min_bend:.0f} %"
-            )
-        return f"AICc is higher by {others}" if others else "too few taps to compare laws"
-
     def to_dict(self) -> dict[str, Json]:
         """Return the law as plain data for JSON."""
         return {
@@ -175,21 +162,37 @@ class Law:
             "power": None if self.power is None else self.power.to_dict(),
             "r_squared": self.r_squared,
             "left": self.left,
+            "rank_correlation": self.rank_correlation,
         }
 
 
-def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind | None = None) -> Law:
+def law_of(
+    speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind | None = None, because: str = "as requested"
+) -> Law:
     """Return the law of the taps' amplitudes (n,), m/s^2, versus their approach speeds (n,), m/s.
 
-    `variances` (n,) are those of the amplitudes due to noise. The law of the kind `only`, if given, is always chosen.
+    `variances` (n,) are those of the amplitudes due to noise. The law of the kind `only`, if given, is always chosen,
+    for the reason `because`; raises FitError if this is the power law and none fits the amplitudes.
     """
     weights = _weights(speeds, amplitudes, variances)
+    mean = float(np.sum(weights * amplitudes) / np.sum(weights))
+    about = float(np.sum(weights * (amplitudes - mean) ** 2))
+
+    def squares(model: Floats) -> float:
+        return float(np.sum(weights * (amplitudes - model) ** 2))
 
     def criterion(model: Floats, unknowns: int) -> float:
-        squares = float(np.sum(weights * (amplitudes - model) ** 2))
         # Synthetic taps without noise have residuals by rounding only.
-        squares = max(squares, 1e-24 * float(np.sum(weights * amplitudes**2)))
-        return aicc(squares, len(amplitudes), unknowns)
+        rounding = 1e-24 * float(np.sum(weights * amplitudes**2))
+        return aicc(max(squares(model), rounding), len(amplitudes), unknowns)
+
+    def r_squared(model: Floats) -> float:
+        return 1 - squares(model) / about if about > 0 else 0.0
+
+    def left(model: Floats) -> float:
+        # A table may be 0 at a tap.
+        size = np.maximum(np.abs(model), 1e-9 * float(np.max(amplitudes)))
+        return float(np.sqrt(np.mean(((amplitudes - model) / size) ** 2)))
 
     root = np.sqrt(weights)
     line = through_origin(speeds * root, amplitudes * root).coefficients[0].value * speeds
@@ -198,6 +201,8 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
     if power is not None:
         curve = power.coefficient_m_per_s2.value * speeds**power.exponent.value
         laid["power"] = (curve, criterion(curve, 2))
+    elif only == "power":
+        raise FitError("no power law was found: none with an exponent between 0 and 5 fits the amplitudes")
     # Few taps or similar speeds give tables with fewer speeds than requested, and some of them twice.
     tried = (table(speeds, amplitudes, variances, count) for count in range(2, SPEED_LAW_LIMITS.max_table_speeds + 1))
     tables = list({len(points): points for points in tried}.values())
@@ -209,33 +214,79 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
             chosen_table, lowest = points, reached
             laid["table"] = (found, reached)
     known = {kind: value for kind, (_, value) in laid.items() if math.isfinite(value)} or {"line": 0.0}
+    lowest = min(known.values())
+    above = {each: value - lowest for each, value in known.items()}
+    names: Mapping[LawKind, str] = {"line": "a line", "power": "a power law", "table": "a table"}
+    others = " and ".join(f"{more:.1f} for {names[each]}" for each, more in above.items() if more > 0)
+    why = f"AICc is higher by {others}" if others else "too few taps to compare laws"
     kind: LawKind = min(known, key=lambda each: known[each])
     size = np.maximum(line, np.finfo(np.float64).tiny)
     bent = float(np.sqrt(np.mean(((laid[kind][0] - line) / size) ** 2)))
-    if bent < SPEED_LAW_LIMITS.min_bend or known.get("line", math.inf) < known[kind] + SPEED_LAW_LIMITS.min_aicc_gain:
+    if bent < SPEED_LAW_LIMITS.min_bend or known.get("line", math.inf) < lowest + SPEED_LAW_LIMITS.min_aicc_gain:
+        if kind != "line":
+            why = (
+                f"AICc of another law is lower by less than {SPEED_LAW_LIMITS.min_aicc_gain:g}, "
+                f"or it differs by less than {100 * SPEED_LAW_LIMITS.min_bend:.0f} %"
+            )
         kind = "line"
-    kind = only or kind
+    if kind == "line" and r_squared(line) < LOWER_LIMITS["r^2 of the law of taps"].fair and len(speeds) > 3:
+        for other in laid:
+            scatter = left(laid[other][0])
+            if kind == "line" and scatter < left(line) / 2:
+                why = f"a line leaves a scatter of {100 * left(line):.0f} %, this law {100 * scatter:.2g} %"
+                kind = other
+    if kind != "table":
+        chosen_table = table(speeds, amplitudes, variances)
+        laid["table"] = (_along(chosen_table, speeds), math.inf)
+    if only is not None:
+        kind, why = only, because
     model = laid[kind][0]
-    mean = float(np.sum(weights * amplitudes) / np.sum(weights))
-    about = float(np.sum(weights * (amplitudes - mean) ** 2))
-    lowest = min(known.values())
     return Law(
         kind=kind,
-        above={each: value - lowest for each, value in known.items()},
+        above=above,
         power=power,
-        table=chosen_table if kind == "table" else table(speeds, amplitudes, variances),
-        r_squared=1 - float(np.sum(weights * (amplitudes - model) ** 2)) / about if about > 0 else 0.0,
-        left=float(np.sqrt(np.mean(((amplitudes - model) / np.maximum(np.abs(model), 1e-300)) ** 2))),
+        table=chosen_table,
+        r_squared=r_squared(model),
+        left=left(model),
+        rank_correlation=rank_correlation(speeds, amplitudes),
+        why=why,
     )
 
 
-def check_law(warnings: Warnings, law: Law, r_squared: float) -> None:
-    """Downgrade the verdict if the speed does not explain the amplitude; `r_squared` is that of the line."""
+def check_law(warnings: Warnings, law: Law) -> None:
+    """Downgrade the verdict if the law does not explain the amplitudes.
+
+    If the amplitudes rise from tap to tap, only their scatter about the law counts. If the law is not a line, r^2 is
+    not judged while the scatter is small: an amplitude that hardly depends on the speed has a small r^2.
+    """
     if law.kind != "line":
         warnings.note(f"A(v) is {law.named}, not a line through the origin: {law.why}")
-    # If the amplitude hardly depends on the speed, r^2 is small for a good law: then only the scatter counts.
-    if law.kind == "line" or law.left > SPEED_LAW_LIMITS.max_scatter:
-        warnings.check("r^2 of the law of taps", r_squared if law.kind == "line" else law.r_squared)
+    if law.kind != "line" and law.left <= SPEED_LAW_LIMITS.max_scatter:
+        return
+    if law.rank_correlation <= SPEED_LAW_LIMITS.high_rank_correlation:
+        warnings.check("r^2 of the law of taps", law.r_squared)
+    elif law.r_squared < LOWER_LIMITS["r^2 of the law of taps"].fair:
+        warnings.check("scatter about the law of taps", law.left, law=law.named)
+
+
+def check_rises(law: Law, count: int) -> None:
+    """Raise FitError if the amplitudes of `count` taps do not rise with the speed.
+
+    They rise if the rank correlation is significantly positive, or if it is positive and the law explains them. A line,
+    which always rises, must explain them better than a constant.
+    """
+    enough = 0.0 if law.kind == "line" else LOWER_LIMITS["r^2 of the law of taps"].fair
+    if not _ranks_rise(law.rank_correlation, count) and not (law.rank_correlation > 0 and law.r_squared >= enough):
+        raise FitError(
+            f"the amplitude does not rise with the speed: the rank correlation of {count} taps is "
+            f"{law.rank_correlation:.2f}: are these taps of one material, and is each speed that of its tap?"
+        )
+
+
+def _ranks_rise(correlation: float, count: int) -> bool:
+    """Return whether a rank correlation of `count` pairs is high, or significantly above 0 (95 %)."""
+    t = student_t(count - 2)
+    return correlation > min(SPEED_LAW_LIMITS.high_rank_correlation, t / math.sqrt(count - 2 + t**2))
 
 
 def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:
@@ -325,7 +376,9 @@ def _power(speeds: Floats, amplitudes: Floats, variances: Floats) -> Power | Non
 
     def at(speed: float) -> Estimate:
         here = float(height + exponent * math.log(speed / middle))
-        return _step(np.log(speeds / speed), amplitudes, variances, here, float(exponent))[0].mapped(math.exp)
+        found = _step(np.log(speeds / speed), amplitudes, variances, here, float(exponent))[0]
+        # The interval of three taps may be beyond the largest float.
+        return found.mapped(lambda log: math.exp(min(log, 700.0)))
 
     # Lines within a thousandth of the law, from half the speed of the slowest tap to twice that of the fastest.
     first, last = max(1e-4, float(speeds.min()) / 2), min(100.0, float(speeds.max()) * 2)
@@ -349,10 +402,11 @@ def _step(logs: Floats, amplitudes: Floats, variances: Floats, height: float, ex
 # ---- Deviations from a law -------------------------------------------------------------------------------------------
 
 
-def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
+def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, noise: Floats, law: Law) -> str:
     """Return a sentence about the only tap that is not on a line through the origin, or an empty string.
 
-    The tap must be off the line of the other taps by a quarter or more.
+    The tap must be off the line of the other taps by a quarter or more. The others must rise with the speed, without
+    much scatter about their line, and with less than all taps have about `law`, if this is a power law.
     """
     count = len(speeds)
     if count < SPEED_LAW_LIMITS.min_taps + 3:
@@ -366,9 +420,13 @@ def single_outlier(taps: Sequence[Tap], speeds: Floats, amplitudes: Floats, nois
     others = np.delete(np.arange(count), index)
     # Any of the n taps may be the farthest by chance.
     chance = count * f_test_p(line.squares, line.freedom, line.squares - float(added[index]), line.freedom - 1)
-    off = float(amplitudes[index] / speeds[index] * (x[others] @ x[others]) / (x[others] @ y[others])) - 1
+    slope_per_s = float((x[others] @ y[others]) / (x[others] @ x[others]))
+    off = float(amplitudes[index] / speeds[index]) / slope_per_s - 1
+    scatter = float(np.sqrt(np.mean((amplitudes[others] / speeds[others] / slope_per_s - 1) ** 2)))
     if (
-        chance > SPEED_LAW_LIMITS.significance
+        scatter > (law.left if law.kind == "power" else UPPER_LIMITS["scatter about the law of taps"].poor)
+        or not _ranks_rise(rank_correlation(speeds[others], amplitudes[others]), count - 1)
+        or chance > SPEED_LAW_LIMITS.significance
         or abs(off) < SPEED_LAW_LIMITS.min_outlier_distance
         or _bends(speeds[others], amplitudes[others], noise[others])
     ):

@@ -599,9 +599,7 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
             if np.sign(tap.coefficient_m_per_s2) == usual_sign
         ]
         second = (
-            _common_pair(upright, _explained_by(upright), alone, True)
-            if len(upright) >= SPEED_LAW_LIMITS.min_taps
-            else None
+            _common_pair(upright, _explained_by(upright), alone) if len(upright) >= SPEED_LAW_LIMITS.min_taps else None
         )
         if second is not None:
             for tap in others:
@@ -615,10 +613,11 @@ def as_pairs(taps: list[TapHit], excluded: Exclusions) -> tuple[list[TapHit], Se
     return [tap for tap in taps if tap.alone], None
 
 
-def second_mode(taps: list[TapHit], explained: float) -> SecondMode | None:
+def second_mode(taps: list[TapHit], explained: float, law: LawKind) -> SecondMode | None:
     """Return the second mode that most of the 12 loudest taps have, or None.
 
-    Both modes together must explain more of the variance than one mode, which explains the fraction `explained`.
+    Both modes together must explain more of the variance than one mode, which explains the fraction `explained`. `law`
+    is the law of the amplitude.
     """
     loudest = sorted(taps, key=lambda tap: tap.noise_m_per_s2 / tap.coefficient_m_per_s2)[:12]
     noisy = [tap for tap in loudest if tap.residual_to_noise > TAP_LIMITS.max_residual_to_noise]
@@ -631,7 +630,7 @@ def second_mode(taps: list[TapHit], explained: float) -> SecondMode | None:
     if usual is None or _explained_by(both) < explained + TAP_LIMITS.min_second_gain:
         return None
     ordered = [(tap, same) for tap, pair in both if (same := _in_order(pair, usual)) is not None]
-    return _common_pair(ordered, _explained_by(both), explained, False)
+    return _common_pair(ordered, _explained_by(both), explained, law)
 
 
 def _explained_by(both: Sequence[tuple[TapHit, Ringing]]) -> float:
@@ -663,11 +662,13 @@ def _in_order(pair: Ringing, usual: Floats) -> Ringing | None:
     return None
 
 
-def _common_pair(both: list[tuple[TapHit, Ringing]], by_both: float, by_one: float, default: bool) -> SecondMode | None:
+def _common_pair(
+    both: list[tuple[TapHit, Ringing]], by_both: float, by_one: float, law: LawKind | None = None
+) -> SecondMode | None:
     """Return the second mode common to these taps, each with its two modes; None for an artefact of the fit.
 
-    `by_both` and `by_one` are the fractions of variance that two modes and one mode explain, `default` is the field
-    `kept` of the result.
+    `by_both` and `by_one` are the fractions of variance that two modes and one mode explain. `law` is the law of the
+    amplitude with one mode; it is None if the material has two modes by default.
     """
     speeds = np.array([tap.speed_m_per_s for tap, _ in both])
     noise = _noise_of([tap for tap, _ in both])
@@ -699,6 +700,10 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], by_both: float, by_one: flo
         or lasts < TAP_LIMITS.min_second_periods
     ):
         return None
+    try:
+        first = speed_law.law_of(speeds, coefficients[:, 0], of_first, law)
+    except FitError:
+        return None
     return SecondMode(
         frequency_hz=angular[1].mapped(_hertz),
         decay_time_s=decay[1].mapped(_time),
@@ -706,10 +711,10 @@ def _common_pair(both: list[tuple[TapHit, Ringing]], by_both: float, by_one: flo
         first_slope_per_s=slope,
         first_frequency_hz=angular[0].mapped(_hertz),
         first_decay_time_s=decay[0].mapped(_time),
-        amplitudes=speed_law.table(speeds, coefficients[:, 0], of_first),
+        amplitudes=first.points,
         variance_accounted_for=by_both,
         alone=by_one,
-        kept=default,
+        kept=law is None,
     )
 
 
@@ -818,46 +823,70 @@ class Modes:
         }
 
 
-def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -> Modes | None:
-    """Return the table of modes versus speed, or None if frequency and decay time do not change.
+def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -> tuple[Modes | None, str]:
+    """Return the table of modes versus speed, and a sentence about what changes with the speed.
 
     A change is significant and, from the slowest to the fastest tap, at least 2 % of the frequency or 10 % of the decay
-    time. A quantity that does not change has the mean of all taps at every speed.
+    time. A quantity that does not change has the mean of all taps at every speed. The sentence is empty if nothing
+    changes. The table is None in this case, and if no table is certain enough.
     """
-    speeds, (angulars, of_angular), (decays, of_decay) = figures.speeds, figures.angular, figures.decay
-    moved = (
-        speed_law.speed_trend(speeds, angulars, of_angular, "frequency", TAP_LIMITS.min_frequency_change),
-        speed_law.speed_trend(speeds, -decays, of_decay, "decay time", TAP_LIMITS.min_decay_change),
-    )
-    if not any(moved):
-        return None
-    hertz, times = np.exp(angulars) / (2 * math.pi), np.exp(-decays)
-    pairs = ((hertz, of_angular * hertz**2), (times, of_decay * times**2))
-
-    def laid(which: int, knots: Floats) -> Regression:
-        hats = np.column_stack([np.interp(speeds, knots, row) for row in np.eye(len(knots))])
-        return statistics.least_squares(hats, *pairs[which])
-
-    def criterion(which: int, knots: Floats) -> float:
-        """Return the AICc of a table with these knots; the weights are those of a table with two knots."""
-        try:
-            scatter, left = laid(which, speed_law.knots_of(speeds, 2)).scatter, laid(which, knots).residual
-        except FitError:
-            return math.inf
-        squares = max(float(np.sum(left**2 / (pairs[which][1] + scatter**2))), 1e-24)
-        return statistics.aicc(squares, len(speeds), len(knots))
-
-    knots, lowest = speed_law.knots_of(speeds, 2), math.inf
-    for count in range(2, 6):
-        tried = speed_law.knots_of(speeds, count)
-        reached = sum(criterion(which, tried) for which, reason in enumerate(moved) if reason)
-        if len(tried) == count and reached < lowest:
-            knots, lowest = tried, reached
-    found = [
-        laid(which, knots).coefficients if reason else (steady,) * len(knots)
-        for which, (reason, steady) in enumerate(zip(moved, (frequency_hz, decay_time_s), strict=True))
+    speeds, logs = figures.speeds, (figures.angular, (-figures.decay[0], figures.decay[1]))
+    least = (TAP_LIMITS.min_frequency_change, TAP_LIMITS.min_decay_change)
+    reasons = [
+        speed_law.speed_trend(speeds, *logs[which], name, least[which])
+        for which, name in enumerate(("frequency", "decay time"))
     ]
-    return Modes(tuple(map(float, knots)), found[0], found[1], " and ".join(filter(None, moved)))
+    moved = [which for which, reason in enumerate(reasons) if reason]
+    why = " and ".join(filter(None, reasons))
+    scatters: dict[int, float] = {}
+    made, lowest = None, math.inf
+    for count in range(2, 6):
+        knots = speed_law.knots_of(speeds, count)
+        if not (moved and count == len(knots) < len(speeds)):
+            continue
+        tables = {which: _log_table(speeds, knots, *logs[which]) for which in moved}
+        # The weights are those of a table with two knots.
+        scatters = scatters or {which: table.scatter for which, table in tables.items()}
+        reached = 0.0
+        for which, table in tables.items():
+            squares = float(np.sum(table.residual**2 / (logs[which][1] + scatters[which] ** 2)))
+            reached += statistics.aicc(max(squares, 1e-24), len(speeds), count)
+        widest = max(each.high - each.value for table in tables.values() for each in table.coefficients)
+        if reached < lowest and widest < math.log1p(TAP_LIMITS.max_table_error):
+            lowest = reached
+            columns = [
+                tuple(each.mapped(unit) for each in tables[which].coefficients)
+                if which in tables
+                else (steady,) * count
+                for which, (unit, steady) in enumerate(((_hertz, frequency_hz), (math.exp, decay_time_s)))
+            ]
+            made = Modes(tuple(map(float, knots)), columns[0], columns[1], why)
+    return made, why
+
+
+def _log_table(speeds: Floats, knots: Floats, logs: Floats, variances: Floats) -> Regression:
+    """Fit a table, linear between its `knots`, to a quantity with the natural logarithms `logs` (n,).
+
+    The coefficients are the logarithms at the knots, by Gauss-Newton steps. No value of the table leaves the range of
+    the taps' values by more than the factor 1 + TAP_LIMITS.max_table_error.
+    """
+    reach = math.log1p(TAP_LIMITS.max_table_error)
+    hats = np.column_stack([np.interp(speeds, knots, row) for row in np.eye(len(knots))])
+    at = np.full(len(knots), float(np.mean(logs)))
+    for _ in range(50):
+        parts = hats * np.exp(at)
+        model = parts.sum(axis=1)
+        columns = parts / model[:, None]
+        found = statistics.least_squares(columns, logs - np.log(model) + columns @ at, variances)
+        before, at = at, np.clip([each.value for each in found.coefficients], logs.min() - reach, logs.max() + reach)
+        if np.abs(at - before).max() < 1e-9:
+            break
+    halves = [each.high - each.value for each in found.coefficients]
+    return dataclasses.replace(
+        found,
+        coefficients=tuple(Estimate(value, value - half, value + half) for value, half in zip(at, halves, strict=True)),
+        residual=logs - np.log(hats @ np.exp(at)),
+    )
 
 
 # ---- The fit ---------------------------------------------------------------------------------------------------------
@@ -910,27 +939,18 @@ class TapFit(Fit):
         """
         return self.law.points
 
-    def material(
-        self,
-        attack: Attack = "coefficient",
-        law: LawKind | None = None,
-        two_modes: bool | None = None,
-        mode_table: bool | None = None,
-    ) -> dict[str, Json]:
-        """Return the keys of a YAML material; the fit chooses options that are None.
+    def material(self, attack: Attack = "coefficient", two_modes: bool | None = None) -> dict[str, Json]:
+        """Return the keys of a YAML material; if `two_modes` is None, the fit decides.
 
-        Raises FitError if a requested second mode, power law or table was not found, or if `attack` is `first_peak`
-        with a table of amplitudes or two modes.
+        Raises FitError if a requested second mode was not found, or if `attack` is `first_peak` with two modes.
         """
         second = self.second if two_modes or (two_modes is None and self.second and self.second.kept) else None
-        if attack != "coefficient" and (law not in (None, "line") or second is not None):
-            raise FitError("a table of amplitudes and two modes need attack: coefficient, not first_peak")
+        if attack != "coefficient" and second is not None:
+            raise FitError("two modes need attack: coefficient, not first_peak")
         if two_modes and second is None:
             raise FitError("no second mode was found: one is enough, or the taps have different modes")
-        if mode_table and self.modes is None:
-            raise FitError("frequency and decay do not change with the speed: there is no table of modes")
-        modes = self.modes if (second is None or second.kept) and mode_table is not False else None
-        tap = self._amplitude(attack, law or self.law.kind, second, modes)
+        modes = self.modes if second is None or second.kept else None
+        tap = self._amplitude(attack, second, modes)
         if modes is not None:
             tap["mode_table"] = modes.material()
         elif second is not None:
@@ -943,19 +963,13 @@ class TapFit(Fit):
             tap["second"] = {name: getattr(second, name).value for name in figures}
         return {"tap": tap}
 
-    def _amplitude(
-        self, attack: Attack, law: LawKind, second: SecondMode | None, modes: Modes | None
-    ) -> dict[str, Json]:
+    def _amplitude(self, attack: Attack, second: SecondMode | None, modes: Modes | None) -> dict[str, Json]:
         tap: dict[str, Json] = {} if attack == "coefficient" else {"attack": attack}
-        if law == "line":
+        if self.linear:
             slope = self.slope_per_s if attack == "coefficient" else self.first_peak_slope_per_s
             return tap | {"attack_slope_per_s": (slope if second is None else second.first_slope_per_s).value}
-        if law == "power" and self.law.power is None:
-            raise FitError("no power law was found: the amplitude does not rise with the speed")
-        points = self.law.power.points if law == "power" and self.law.power is not None else self.law.table
-        if second is not None and not second.kept:
-            # In the fit of both modes the first one has other amplitudes.
-            points = second.amplitudes
+        # In the fit of both modes the first one has other amplitudes.
+        points = self.amplitudes if second is None or second.kept else second.amplitudes
 
         def factor(speed: float) -> float:
             """Return the amplitude that `attack` specifies, divided by the mode's coefficient, at this speed."""
@@ -978,11 +992,14 @@ def fit_tap(
     recordings: Sequence[Recording],
     progress: Callable[[Recording], None] | None = None,
     excluded: Exclusions | None = None,
+    law: LawKind | None = None,
+    mode_table: bool | None = None,
 ) -> TapFit:
     """Fit modes to the taps of one material.
 
-    `progress` is called after each recording. Unusable recordings and taps are added to `excluded`. Raises FitError
-    (one line) if the recordings do not support a fit.
+    `progress` is called after each recording. Unusable recordings and taps are added to `excluded`. `law` is the law of
+    the amplitude, and `mode_table` whether frequency and decay time are a table over the speed; the taps decide if they
+    are None. Raises FitError (one line) if the recordings do not support a fit.
     """
     statistics.require_scipy()
     preparation.refuse_duplicates(recordings)
@@ -1009,27 +1026,28 @@ def fit_tap(
     line = through_origin(speeds, *figures.amplitude, squares)
     offset = statistics.with_offset(speeds, *figures.amplitude, squares)
     slope = line.coefficients[0]
-    speed_law.check_slope(slope)
     angular, decay = common(*figures.angular), common(*figures.decay)
-    speed_law.check_hardness(slope.value, math.exp(angular.value), "the angular frequency")
+    speed_law.check_hardness(speeds, figures.amplitude[0], math.exp(angular.value), "the angular frequency")
     frequency, decay_time = angular.mapped(_hertz), decay.mapped(_time)
     _check_ringing(frequency.value, decay_time.value, taps)
     explained = float(np.median([tap.variance_accounted_for for tap in taps]))
+    chosen = speed_law.law_of(speeds, *figures.amplitude, law)
+    speed_law.check_rises(chosen, len(taps))
+    outlier = speed_law.single_outlier(taps, speeds, figures.amplitude[0], figures.noise, chosen)
+    if outlier and law is None:
+        chosen = speed_law.law_of(speeds, *figures.amplitude, "line", "a single tap is off the line of the others")
     if second is None:
-        second = second_mode(taps, explained)
-    outlier = speed_law.single_outlier(taps, speeds, figures.amplitude[0], figures.noise)
-    law = speed_law.law_of(speeds, *figures.amplitude, "line" if outlier else None)
+        second = second_mode(taps, explained, chosen.kind)
     warnings = Warnings()
     _check_recordings(warnings, recordings, taps, frequency)
     _check_mode(warnings, taps, second, explained, lines)
-    modes = _modes_over_speed(warnings, figures, frequency, decay_time)
+    modes = _modes_over_speed(warnings, figures, frequency, decay_time, mode_table)
     if outlier:
         warnings.add(False, outlier, "is its speed right?")
     else:
-        speed_law.check_law(warnings, law, line.r_squared)
+        speed_law.check_law(warnings, chosen)
     excluded.report_taps(len(taps), warnings)
     explains = "two modes explain" if second is not None and second.kept else "one mode explains"
-    r_squared = law.r_squared if law.kind != "line" else line.r_squared
     return TapFit(
         taps=tuple(taps),
         slope_per_s=slope,
@@ -1042,12 +1060,13 @@ def fit_tap(
         offset_m_per_s2=offset.coefficients[1],
         r_squared_offset=offset.r_squared,
         variance_accounted_for=explained,
-        law=law,
-        power=law.power if law.kind == "power" else None,
+        law=chosen,
+        power=chosen.power if chosen.kind == "power" else None,
         second=second,
         warnings=tuple(lines + warnings.lines),
         judged=warnings.verdict(
-            f"{explains} {100 * explained:.1f} % of {len(taps)} taps", f"A(v) is {law.named} (r^2 {r_squared:.3f})"
+            f"{explains} {100 * explained:.1f} % of {len(taps)} taps",
+            f"A(v) is {chosen.named} (r^2 {chosen.r_squared:.3f})",
         ),
         left_out=tuple(excluded.items),
     )
@@ -1163,14 +1182,27 @@ def _lack_of_fit(taps: Sequence[TapHit]) -> str:
     return ""
 
 
-def _modes_over_speed(warnings: Warnings, figures: Figures, frequency: Estimate, decay_time: Estimate) -> Modes | None:
-    """Return the table of modes versus speed, or None; downgrade the verdict for scattered frequencies or decays."""
-    modes = modes_of(figures, frequency, decay_time)
-    if modes is None:
-        warnings.check_interval("decay time", decay_time)
+def _modes_over_speed(
+    warnings: Warnings, figures: Figures, frequency: Estimate, decay_time: Estimate, asked: bool | None
+) -> Modes | None:
+    """Return the table of modes versus speed, or None; downgrade the verdict for scattered frequencies or decays.
+
+    `asked` is whether the material must or must not have a table. Raises FitError for a table that cannot be made.
+    """
+    made, why = modes_of(figures, frequency, decay_time)
+    uncertain = "but no table over the speed is certain enough"
+    if asked and made is None:
+        reason = f"{why}, {uncertain}" if why else "frequency and decay do not change with the speed"
+        raise FitError(f"{reason}: there is no table of modes; --no-mode-table needs none")
+    modes = None if asked is False else made
+    if modes is not None:
+        warnings.note(f"{why}; the material has a table of modes over the speed")
+        decay_time = max(modes.decay_times_s, key=lambda each: (each.high - each.low) / each.value)
+    elif why:
+        add = warnings.note if made is not None else warnings.add_fair
+        add(f"{why}{'' if made is not None else f', {uncertain}'}; the material has one frequency and one decay time")
+    warnings.check_interval("decay time", decay_time)
     expected = 0.0 if modes is None else np.log(modes.frequency_at(figures.speeds))
     scatter = float(np.std(figures.angular[0] - expected))
     warnings.check("scatter of the frequency", scatter, events="taps", one="material, held alike")
-    if modes is not None:
-        warnings.note(f"{modes.why}; the material has a table of modes over the speed")
     return modes

@@ -12,16 +12,17 @@ quarters of the highest density has another peak, the spectrum is not a single r
 both peaks.
 
 A peak is resolved if the density is lower on both sides. If the density at TEXTURE_LIMITS.min_frequency_hz is as high,
-the peak may be anywhere below. Then the peak's interval begins at 0, and ends at the larger of two frequencies: the end
-of the parabola's interval, limited to the half-power band, and the 97.5 % quantile of the frequency of the highest
-density over bootstrap samples of the groups (Efron, 1979).
+the peak may be anywhere below, and has no value. It is then below the larger of two frequencies: the end of the
+parabola's interval, limited to the half-power band, and the 97.5 % quantile of the frequency of the highest density
+over bootstrap samples of the groups (Efron, 1979). Noise with a peak and a mean cannot have such a spectrum, so the
+material gets autoregressive models.
 
 The law of the RMS is fitted to the power of the blocks, with errors proportional to the power (quasi-likelihood of a
 gamma distribution; Wedderburn, 1974).
 
-On request, an autoregressive model is made for each pair of speed and force, from the autocorrelation of the mean
-spectrum (Levinson and Durbin); such a model is stable for any spectrum. The order of the model has the lowest corrected
-information criterion of Akaike (Hurvich and Tsai, 1989).
+On request, or without a peak, an autoregressive model is made for each pair of speed and force, from the
+autocorrelation of the mean spectrum (Levinson and Durbin); such a model is stable for any spectrum. The order of the
+model has the lowest corrected information criterion of Akaike (Hurvich and Tsai, 1989).
 """
 
 from __future__ import annotations
@@ -281,9 +282,10 @@ class _Blocks:
 class Peak:
     """Peak frequency of a spectrum."""
 
-    hz: Estimate
-    resolved: bool
-    """Whether the density is lower on both sides of the peak."""
+    hz: Estimate | None
+    """The peak; None if it is not resolved."""
+    below_hz: float
+    """Upper end of the interval, 95 %."""
 
 
 def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
@@ -300,12 +302,12 @@ def peak_of(frequency: Floats, shape: Floats, strokes: Ints) -> Peak:
     if jackknifed(lambda density: parabola(density) - upper(density), shape, strokes).excludes_zero:
         found = Estimate(found.value, min(found.low, top.low), max(found.high, top.high))
     if found.low > 0 and found.high - found.low <= found.value and _falls_below(frequency, shape, found.value):
-        return Peak(found, True)
+        return Peak(found, found.high)
     # The interval may be far too wide: it is limited to where the density is above half of its highest value.
     smooth, place = _highest(frequency, shape.mean(axis=0))
     below = np.flatnonzero(smooth[place:] < TEXTURE_LIMITS.peak_level * smooth[place])
     reach = min(found.high, float(frequency[place + below[0]] if len(below) else frequency[-1]))
-    return Peak(Estimate(found.value, 0.0, max(_highest_resampled(frequency, shape), reach, found.value)), False)
+    return Peak(None, max(_highest_resampled(frequency, shape), reach, found.value))
 
 
 def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) -> Estimate:
@@ -586,9 +588,11 @@ class Block:
 class TextureFit(Fit):
     """Result of a fit of a texture. All intervals are 95 % confidence intervals."""
 
-    peak_hz: Estimate
+    peak_hz: Estimate | None
+    """None if the peak is not resolved."""
     peak_resolved: bool
-    """Whether the peak is resolved. If not, its interval begins at 0 and its value is a guess."""
+    peak_below_hz: float | None
+    """If the peak is not resolved: the frequency below which it is, with 95 % confidence."""
     mean_hz: Estimate
     velocity_gain_per_s: Estimate | None
     """None, like the force gain, if speed and force do not vary independently; a warning then says so."""
@@ -598,7 +602,7 @@ class TextureFit(Fit):
     mean_per_force_hz_per_n: Estimate | None
     ar_rate_hz: float | None
     ar_models: tuple[ArModel, ...]
-    """The autoregressive models; empty unless they were requested."""
+    """The autoregressive models; empty unless they were requested or the peak is not resolved."""
     blocks: tuple[Block, ...]
 
     def material(self) -> dict[str, object]:
@@ -607,6 +611,7 @@ class TextureFit(Fit):
             names = ("speed_m_per_s", "force_n", "coefficients", "rms_m_per_s2")
             models = [fields_of(model, *names) for model in self.ar_models]
             return {"texture": {"kind": "autoregressive", "rate_hz": self.ar_rate_hz, "models": models}}
+        assert self.peak_hz is not None
         assert self.velocity_gain_per_s is not None
         assert self.force_gain_m_per_s2_per_n is not None
         return {
@@ -623,7 +628,7 @@ class TextureFit(Fit):
 def fit_texture(
     recordings: Sequence[Recording], autoregressive: bool = False, excluded: Exclusions | None = None
 ) -> TextureFit:
-    """Fit a texture to strokes at several speeds and forces.
+    """Fit a texture to strokes at several speeds and forces; without a resolved peak always by autoregressive models.
 
     Unusable recordings and sections are added to `excluded`. Raises FitError if the recordings do not support a fit.
     """
@@ -673,23 +678,34 @@ def _fitted(sections: Sequence[Recording], rate_hz: float, autoregressive: bool,
     )
     ar_rate: float | None = None
     models: tuple[ArModel, ...] = ()
-    if autoregressive:
+    unresolved = ""
+    if peak.hz is None:
+        unresolved = (
+            f"the peak is not resolved: the spectrum is broad, or highest below {TEXTURE_LIMITS.min_frequency_hz:g} "
+            f"Hz; the peak is below {peak.below_hz:.3g} Hz"
+        )
+        warnings.note(f"{unresolved}; autoregressive models need no peak")
+    if autoregressive or unresolved:
         ar_rate = _model_rate(blocks.frequency, shape.mean(axis=0), rate_hz)
-        models = _models_of(blocks, ar_rate)
-    _check_peak(peak, autoregressive, warnings)
+        try:
+            models = _models_of(blocks, ar_rate)
+        except FitError as error:
+            raise FitError(f"{unresolved}; {error}" if unresolved else str(error)) from None
     warnings.check_interval("mean frequency", mean)
-    if peak.resolved and not autoregressive:
+    if peak.hz is not None and not autoregressive:
+        warnings.check_interval("peak frequency", peak.hz)
         # The spectrum of the material has two parameters only: peak and mean.
         power = shape.mean(axis=0) / (shape.mean(axis=0).sum() * blocks.frequency[1])
         model = power_spectrum(stochastic_filter(peak.hz.value, mean.value, rate_hz), blocks.frequency, rate_hz)
         distance_db = spectral_distance_db(blocks.frequency, model, np.maximum(power, 1e-6 * power.max()))
         warnings.check("decibels between the spectra", distance_db)
-    found = f"peak at {peak.hz.value:.4g} Hz" if peak.resolved else f"peak below {peak.hz.high:.3g} Hz"
+    found = f"peak below {peak.below_hz:.3g} Hz" if peak.hz is None else f"peak at {peak.hz.value:.4g} Hz"
     names = [recordings[place].name for place in blocks.stroke]
     figures = zip(blocks.speed, blocks.force, blocks.rms, centroid, strict=True)
     return TextureFit(
         peak_hz=peak.hz,
-        peak_resolved=peak.resolved,
+        peak_resolved=peak.hz is not None,
+        peak_below_hz=peak.below_hz if peak.hz is None else None,
         mean_hz=mean,
         velocity_gain_per_s=velocity_gain,
         force_gain_m_per_s2_per_n=force_gain,
@@ -753,15 +769,3 @@ def _refuse_two(name: str, frequency: Floats, loudness: Floats) -> None:
                     f"two textures in one file: the {what} changes {math.exp(step):.2f}-fold at about "
                     f"{k * TEXTURE_LIMITS.block_s:g} s; record each in a separate file",
                 )
-
-
-def _check_peak(peak: Peak, autoregressive: bool, warnings: Warnings) -> None:
-    """Downgrade the verdict if the peak is not resolved or uncertain; autoregressive models need no peak."""
-    if not peak.resolved:
-        add = warnings.note if autoregressive else warnings.add_fair
-        add(
-            f"the peak is not resolved: the spectrum is broad, or highest below {TEXTURE_LIMITS.min_frequency_hz:g} "
-            f"Hz; the peak is below {peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
-        )
-    elif not autoregressive:
-        warnings.check_interval("peak frequency", peak.hz)

@@ -91,6 +91,7 @@ UPPER_LIMITS: Final[Mapping[str, Rule]] = {
         "amplitudes have an offset of {offset.value:.3g} m/s^2 ({offset.low:.3g} to {offset.high:.3g})",
         "the two gains do not describe it",
     ),
+    "scatter about the law of taps": Rule(0.15, 0.4, "the amplitudes differ from {law} by {percent:.0f} %"),
     "scatter of the frequency": Rule(
         0.05, 0.1, "the frequency scatters by {percent:.0f} % between {events}", "is it one {one}?"
     ),

@@ -28,7 +28,7 @@ from hapticd.fit import speed_law
 from hapticd.fit.limits import TAP_LIMITS, WAVEFORM_LIMITS
 from hapticd.fit.recording import Recording
 from hapticd.fit.result import Fit
-from hapticd.fit.speed_law import Amplitudes
+from hapticd.fit.speed_law import Amplitudes, Law
 from hapticd.fit.tap import Events, Unusable
 from hapticd.fit.verdict import Exclusions, Warnings
 
@@ -446,6 +446,8 @@ class WaveformFit(Fit):
     taps: tuple[PulseHit, ...]
     first_peak_slope_per_s: Estimate
     """Slope of the largest acceleration with speed, for a line through the origin."""
+    law: Law
+    """Law of the largest acceleration versus speed: the line, a power law or a table."""
     amplitudes: Amplitudes
     """Table of rising speeds, m/s, and amplitudes, m/s^2. Empty if the law is a line."""
     rate_hz: float
@@ -519,10 +521,10 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     variances = _variances(pulses, shape)
     line = through_origin(speeds, peaks, variances, speeds**2)
     slope = _widened(line.coefficients[0], of_amplitudes)
-    speed_law.check_slope(slope)
     fraction = float(np.median(explained))
     resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
     law = speed_law.law_of(speeds, peaks, variances)
+    speed_law.check_rises(law, len(pulses))
     warnings = Warnings()
     warnings.check("variance that a waveform explains", fraction)
     if faded:
@@ -530,14 +532,14 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
         percent = 100 * WAVEFORM_LIMITS.fade_out_fraction
         warnings.add(False, reason, f"the waveform is faded out over its last {percent:.0f} %")
     warnings.check("samples in a period of a waveform", resolved)
-    speed_law.check_law(warnings, law, line.r_squared)
+    speed_law.check_law(warnings, law)
     excluded.report_taps(len(hits), warnings)
-    speed_law.check_hardness(slope.value, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")
-    r_squared = line.r_squared if law.kind == "line" else law.r_squared
+    speed_law.check_hardness(speeds, peaks, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")
     points = () if law.kind == "line" else law.points
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
+        law=law,
         amplitudes=tuple((speed, _widened(amplitude, of_amplitudes)) for speed, amplitude in points),
         rate_hz=shape.rate_hz,
         samples=tuple(map(float, shape.samples)),
@@ -549,7 +551,7 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
         warnings=tuple(lines + warnings.lines),
         judged=warnings.verdict(
             f"a waveform explains {100 * fraction:.1f} % of {len(pulses)} taps",
-            f"A(v) is {law.named} (r^2 {r_squared:.3f})",
+            f"A(v) is {law.named} (r^2 {law.r_squared:.3f})",
         ),
         left_out=tuple(excluded.items),
     )

@@ -42,12 +42,6 @@ class FakeSecond:
 
 
 @dataclass(frozen=True, slots=True)
-class FakeLaw:
-    kind: str
-    power: None = None
-
-
-@dataclass(frozen=True, slots=True)
 class FakeFit:
     slope_per_s: Estimate
     frequency_hz: Estimate
@@ -59,15 +53,10 @@ class FakeFit:
     left_out: tuple[Exclusion, ...] = ()
     found: tuple[tuple[str, object], ...] = ()
     linear: bool = True
+    power: None = None
     second: object = None
 
-    @property
-    def law(self) -> FakeLaw:
-        return FakeLaw("line" if self.linear else "table")
-
-    def material(
-        self, attack: str = "coefficient", law: str | None = None, two_modes: bool = False, mode_table: None = None
-    ) -> dict[str, object]:
+    def material(self, attack: str = "coefficient", two_modes: bool = False) -> dict[str, object]:
         tap: dict[str, object] = {
             "attack_slope_per_s": self.slope_per_s.value,
             "frequency_hz": self.frequency_hz.value,
@@ -75,7 +64,7 @@ class FakeFit:
         }
         if attack != "coefficient":
             tap["attack"] = attack
-        if (law or self.law.kind) == "table":
+        if not self.linear:
             del tap["attack_slope_per_s"]
             tap["amplitudes"] = [[0.1, 30.0]]
         if two_modes:
@@ -128,8 +117,16 @@ def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
     for kind in ("grooves", "texture", "puncture"):
         monkeypatch.setattr(f"hapticd.fit.{kind}.fit_{kind}", found.fit)
 
-    def fit_taps(recordings: Sequence[Recording], kind: str, progress: Progress, excluded: object) -> FakeFit:
-        return found.fit(recordings, progress, excluded=excluded)
+    def fit_taps(
+        recordings: Sequence[Recording],
+        kind: str,
+        progress: Progress,
+        excluded: object,
+        law: str | None,
+        mode_table: bool | None,
+    ) -> FakeFit:
+        fit = found.fit(recordings, progress, excluded=excluded)
+        return fit if law is None else dataclasses.replace(fit, linear=law == "line")
 
     monkeypatch.setattr("hapticd.fit.from_files.fit_taps", fit_taps)
     for name, seed in (("a.csv", 1), ("b.csv", 2)):
@@ -496,8 +493,7 @@ def test_synthetic_recordings_are_fitted_back(
     """Synthesize each kind, fit it into one material and draw it; fitted values are those that `synthesize` prints."""
     monkeypatch.chdir(tmp_path)
     short = {"tap": (), "grooves": ("--duration", "0.5"), "texture": ("--duration", "3"), "puncture": ()}
-    # The peak of a broad spectrum has the largest uncertainty.
-    within = {"peak_hz": 0.4, "mean_hz": 0.05, "velocity_gain_per_s": 0.2, "force_gain_m_per_s2_per_n": 0.2}
+    within = {"mean_hz": 0.05, "velocity_gain_per_s": 0.2, "force_gain_m_per_s2_per_n": 0.2}
     for kind, more in short.items():
         assert main(["fit", "synthesize", kind, "-o", f"{kind}.npz", "--noise", "0.01", "--json", *more]) == 0
         made = json.loads(capsys.readouterr().out)
@@ -510,6 +506,10 @@ def test_synthetic_recordings_are_fitted_back(
         assert len(made["truth"]) >= 4
         for name, truth in made["truth"].items():
             found = result["fit"][name]
+            if name == "peak_hz":
+                # 12 s do not resolve the peak of a broad spectrum.
+                assert found is None and truth < result["fit"]["peak_below_hz"]
+                continue
             assert found["value"] == pytest.approx(truth, rel=within.get(name, 0.02) if kind == "texture" else 0.02)
             assert found["low"] <= found["value"] <= found["high"]
     assert Path("tap.html").read_text().count("data:image/png;base64,") == 4

@@ -44,9 +44,8 @@ def rendered(material: Material, seed: int, speeds: Floats = SPEEDS) -> Recordin
     return Recording("rendered", RATE, acceleration + noise, None, None, None, speeds, Source("rendered", ""))
 
 
-def through_yaml(fit: TapFit, recording: Recording, table: bool) -> Material:
-    figures = fit.material(law="table" if table else None)
-    made = fitted_material(fit, [recording], "tap", 800.0, figures)
+def through_yaml(fit: TapFit, recording: Recording) -> Material:
+    made = fitted_material(fit, [recording], "tap", 800.0)
     data: Any = load_text(yaml_text({"materials": {"m": made.to_dict()}}), "m.yaml").data
     return validate_materials(data["materials"])["m"]
 
@@ -59,7 +58,7 @@ def test_taps_come_back(name: str) -> None:
     assert truth.tap.attack_slope_per_s is not None
     recording = rendered(truth, 1)
     first = fit_tap([recording])
-    again = fit_tap([rendered(through_yaml(first, recording, False), 2)])
+    again = fit_tap([rendered(through_yaml(first, recording), 2)])
     for fit in (first, again):
         slope = truth.tap.mode.coefficient(truth.tap.attack_slope_per_s, truth.tap.attack)
         assert fit.slope_per_s.value == pytest.approx(slope, rel=0.01)
@@ -75,9 +74,9 @@ def test_a_table_comes_back() -> None:
     # The number of speeds in a table, so that the table has a point for each speed.
     speeds = np.linspace(0.05, 0.4, SPEED_LAW_LIMITS.max_table_speeds)
     recording = rendered(truth, 3, speeds)
-    first = fit_tap([recording])
-    assert not first.linear
-    again = through_yaml(first, recording, True)
+    assert not fit_tap([recording]).linear
+    first = fit_tap([recording], law="table")
+    again = through_yaml(first, recording)
     assert truth.tap is not None and again.tap is not None
     wanted = [truth.tap.amplitude_m_per_s2(speed) for speed in speeds]
     for fit in (first, fit_tap([rendered(again, 4, speeds)])):

@@ -173,7 +173,7 @@ def test_taps() -> None:
 
 
 def test_taps_that_bend_and_have_two_modes() -> None:
-    """The picture has a table besides the line; recordings of two modes leave no residual."""
+    """The model is the table, besides a dashed line; recordings of two modes leave no residual."""
     time_s = np.arange(1000) / RATE - 0.002
     later = np.maximum(time_s, 0)
     both = 30 * np.exp(-150 * later) * np.sin(1300 * later) + 12 * np.exp(-400 * later) * np.sin(5000 * later)
@@ -189,8 +189,11 @@ def test_taps_that_bend_and_have_two_modes() -> None:
     }
     page = page_of("tap", "pine: tap", Fitted({}, parts), [])
     (lines, less, _), one, two = page.rows
-    assert np.array_equal(curves(lines)["table"], ((0, 0.1, 0.2), (0, 20, 61)))
-    assert np.allclose(curves(less)["table"][1], (0, -10, 1))
+    assert np.array_equal(curves(lines)["model"], ((0, 0.1, 0.2), (0, 20, 61)))
+    x, y = curves(lines)["line through 0"]
+    assert np.allclose(y, 300 * x)
+    assert np.allclose(curves(less)["model"][1], 0)
+    assert np.allclose(curves(less)["line through 0"][1], 300 * x - np.interp(x, (0, 0.1, 0.2), (0, 20, 61)))
     assert one[0].title == "t0.2, 0.2 m/s" and two[0].title == "t0.2, 0.2 m/s, two modes"
     assert np.std(curves(two[1])["recording less model"][1]) < 2e-3
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 
-from hapticd.analysis.statistics import Floats
+from hapticd.analysis.statistics import FitError, Floats
+from hapticd.config.texture import Autoregressive
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.texture import Peak, fit_texture, peak_of
 from tests.support.fitted import fitted_material
@@ -51,22 +53,21 @@ def bootstrapped(peaks: Sequence[float], random: np.random.Generator) -> tuple[f
 @pytest.mark.slow
 @pytest.mark.parametrize("density", [falling(40, 1.5), falling(60, 2), falling(150, 3), resonance(100, 0.6)])
 def test_a_spectrum_that_only_falls_has_no_peak(density: Density) -> None:
-    """The highest density is at 0: the interval contains 0, and a peak due to chance is not resolved."""
+    """The highest density is at 0: a peak due to chance is not resolved, and has no value."""
     for seed in range(8):
         found = sampled([density], seed)
-        assert not found.resolved
-        assert found.hz.low == 0.0
-        assert found.hz.low <= found.hz.value <= found.hz.high < 200.0
+        assert found.hz is None
+        assert 20.0 <= found.below_hz < 200.0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("own_hz", "quality"), [(150.0, 2.0), (200.0, 1.2), (90.0, 3.0)])
 def test_intervals_of_a_resonance_hold_its_peak(own_hz: float, quality: float) -> None:
     truth = own_hz * np.sqrt(1 - 1 / (2 * quality**2))
-    found = [sampled([resonance(own_hz, quality)], seed) for seed in range(20)]
-    assert all(each.resolved for each in found)
+    found = [peak for seed in range(20) if (peak := sampled([resonance(own_hz, quality)], seed).hz) is not None]
+    assert len(found) == 20
     # Of 20 intervals of 95 %, this number contain the peak with a probability of 1.6 %, fewer with 0.3 %.
-    assert sum(each.hz.low <= truth <= each.hz.high for each in found) >= 16
+    assert sum(each.low <= truth <= each.high for each in found) >= 16
 
 
 @pytest.mark.slow
@@ -77,6 +78,7 @@ def test_strokes_that_differ_make_the_interval_wide() -> None:
     low, high = bootstrapped([own * np.sqrt(1 - 1 / 18) for own in owns], random)
     for seed in range(4):
         found = sampled([resonance(own, 3.0) for own in owns], seed).hz
+        assert found is not None
         assert 0.8 * (high - low) < found.high - found.low < 3 * (high - low)
 
 
@@ -108,19 +110,35 @@ def test_a_texture_without_a_peak_says_so_in_the_material(autoregressive: bool) 
         for seed, (speed, force) in enumerate(PLACES)
     ]
     fit = fit_texture(strokes, autoregressive=autoregressive)
-    assert not fit.peak_resolved
-    assert fit.peak_hz.low == 0.0
+    figures = fit.to_dict()
+    assert (figures["peak_hz"], figures["peak_resolved"]) == (None, False)
+    assert fit.peak_below_hz is not None and 20.0 <= fit.peak_below_hz < 60.0
     (message,) = (line for line in fit.warnings if "peak" in line)
     assert message.startswith(
         "the peak is not resolved: the spectrum is broad, or highest below 20 Hz; the peak is below "
     )
+    # Models of the measured spectrum need no peak.
     made = fitted_material(fit, strokes, "texture", 500.0)
-    judged = made.fitted["texture"]
-    assert (message in judged.reasons) != autoregressive
-    assert autoregressive or judged.quality != "good"
+    assert isinstance(made.texture, Autoregressive)
+    assert made.fitted["texture"].quality == "good"
     assert made.provenance is not None
     assert made.provenance.intervals is not None
-    assert made.provenance.intervals["texture.peak_hz"][0] == 0.0
+    assert "texture.peak_hz" not in made.provenance.intervals
+
+
+@pytest.mark.long
+def test_a_texture_without_a_peak_needs_steady_strokes() -> None:
+    """Strokes that never keep a speed for 2 s have neither a peak nor autoregressive models."""
+    speed = np.linspace(0.05, 0.25, round(4 * RATE))
+    swept = []
+    for seed, place in enumerate(PLACES):
+        even = stroke(falling(60, 2), 1.0, place, seed)
+        assert even.acceleration_m_per_s2 is not None and even.force_n is not None
+        louder = even.acceleration_m_per_s2 * (24 * speed + 2.4 * even.force_n)
+        moved = np.cumsum(speed) / RATE
+        swept.append(dataclasses.replace(even, acceleration_m_per_s2=louder, tangential_position_m=moved))
+    with pytest.raises(FitError, match=r"the peak is not resolved: .* Hz; no speed and force was held for 2 s"):
+        fit_texture(swept)
 
 
 def test_a_loudness_that_does_not_follow_speed_and_force_is_poor() -> None:

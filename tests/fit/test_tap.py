@@ -286,8 +286,9 @@ def test_the_material_is_one_that_the_library_takes() -> None:
     assert json.loads(json.dumps(fit.to_dict()))["frequency_hz"]["value"] == fit.frequency_hz.value
     with pytest.raises(FitError, match="no second mode"):
         fit.material(two_modes=True)
-    assert fit.material(law="table")["tap"]["amplitudes"] == [  # type: ignore[index,call-overload]
-        [speed, amplitude.value] for speed, amplitude in fit.amplitudes
+    table = fit_tap([recording], law="table")
+    assert table.material()["tap"]["amplitudes"] == [  # type: ignore[index,call-overload]
+        [speed, amplitude.value] for speed, amplitude in table.amplitudes
     ]
 
 
@@ -631,7 +632,9 @@ def test_frequency_and_decay_that_follow_the_speed_are_a_table() -> None:
         assert tap.mode_at(speed).frequency_hz == pytest.approx(200 * (1 + 0.3 * speed), rel=0.01)
         assert tap.mode_at(speed).decay_time_s == pytest.approx(0.004 + 0.01 * speed, rel=0.03)
         assert tap.amplitude_m_per_s2(speed) == pytest.approx(509 * speed, rel=0.03)
-    steady = Tap.model_validate(fit.material(mode_table=False)["tap"])
+    without = fit_tap(moving(lambda v: 200 * (1 + 0.3 * v), lambda v: 0.004 + 0.01 * v), mode_table=False)
+    assert any("the decay time rises" in line and "has one frequency" in line for line in without.warnings)
+    steady = Tap.model_validate(without.material()["tap"])
     assert steady.mode_table is None and steady.mode.frequency_hz == fit.frequency_hz.value
 
 
@@ -643,7 +646,7 @@ def test_a_decay_that_follows_the_speed_alone_leaves_the_frequency_as_it_is() ->
     steady = fit_tap(moving(lambda v: 200.0, lambda v: 0.006))
     assert steady.modes is None and "mode_table" not in steady.choices
     with pytest.raises(FitError, match="no table of modes"):
-        steady.material(mode_table=True)
+        fit_tap(moving(lambda v: 200.0, lambda v: 0.006), mode_table=True)
 
 
 @pytest.mark.long
@@ -675,10 +678,16 @@ def test_the_second_mode_has_intervals_and_a_table() -> None:
         assert off(estimate, truth) < 0.05
         assert estimate.low < estimate.value < estimate.high
         assert estimate.high - estimate.low < 0.3 * truth
-    figures = fit.material(law="table", two_modes=True)
+    figures = fit_tap([with_shape("delrin", other, 0.02)], law="table").material(two_modes=True)
     loaded = Tap.model_validate(figures["tap"])
     assert loaded.second is not None and loaded.amplitudes is not None
     assert loaded.amplitude_m_per_s2(0.25) == pytest.approx(0.25 * tap_truth("delrin"), rel=0.03)
+    # Another law of both modes has other points.
+    curved = fit_tap([with_shape("delrin", other, 0.02)], law="power")
+    tap = Tap.model_validate(curved.material(two_modes=True)["tap"])
+    assert tap.amplitudes is not None and curved.power is not None
+    assert tap.amplitudes[0][0] == pytest.approx(curved.power.points[0][0])
+    assert tap.amplitude_m_per_s2(0.25) == pytest.approx(0.25 * tap_truth("delrin"), rel=0.03)
     with pytest.raises(FitError, match="need attack: coefficient"):
         fit.material("first_peak", two_modes=True)
 

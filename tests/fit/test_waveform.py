@@ -236,6 +236,7 @@ def test_taps_that_saturate_get_a_table() -> None:
     for speed in (0.1, 0.2, 0.3, 0.45):
         assert tap.amplitude_m_per_s2(speed) == pytest.approx(45.0 * (speed / 0.3) ** 0.5, rel=0.04)
     assert any(line.startswith("A(v) is a power law of exponent 0.5") for line in found.warnings)
+    assert found.law.kind == "power"
     assert found.verdict.startswith("good: ")
 
 
