@@ -65,7 +65,10 @@ def fitted_files(
     # A division by zero gives NaN, which no material accepts: no need to warn.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        fitted = _fit(kind, options, recordings, step, excluded)
+        try:
+            fitted = _fit(kind, options, recordings, step, excluded)
+        except FitError as error:
+            raise excluded.explained(error) from None
     used: list[Recording] = []
     unused: list[Recording] = []
     for recording in recordings:

@@ -495,10 +495,11 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     line) if the pulses do not support a fit.
     """
     pulses, shape, faded, explained = _alike(pulses, earlier, excluded)
-    lines = [*excluded.lines(), *earlier]
+    warnings = Warnings([*earlier])
+    excluded.report(len(pulses), "taps", warnings)
     peaks = np.array([each.amplitude for each in shape.fitted])
     if float(np.median(peaks)) < 0:
-        lines.append("the taps push downwards: the sign of the acceleration is reversed")
+        warnings.note("the taps push downwards: the sign of the acceleration is reversed")
         peaks = -peaks
     curve, (halves, of_amplitudes) = shape.curve, _uncertain(shape, faded)
     hits = tuple(
@@ -523,7 +524,6 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     fraction = float(np.median(explained))
     resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
     law = speed_law.law_of(speeds, peaks, variances)
-    warnings = Warnings()
     warnings.check("variance that a waveform explains", fraction)
     if faded:
         reason = f"the pulses have not ended after {1e3 * curve.length_s:.3g} ms"
@@ -531,7 +531,6 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
         warnings.add(False, reason, f"the waveform is faded out over its last {percent:.0f} %")
     warnings.check("samples in a period of a waveform", resolved)
     speed_law.check_law(warnings, law, line.r_squared)
-    excluded.report_taps(len(hits), warnings)
     speed_law.check_hardness(slope.value, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")
     r_squared = line.r_squared if law.kind == "line" else law.r_squared
     points = () if law.kind == "line" else law.points
@@ -546,7 +545,7 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
         samples_a_period=resolved,
         r_squared=line.r_squared,
         variance_accounted_for=fraction,
-        warnings=tuple(lines + warnings.lines),
+        warnings=tuple(warnings.lines),
         judged=warnings.verdict(
             f"a waveform explains {100 * fraction:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {r_squared:.3f})",
