@@ -187,7 +187,8 @@ def _better_waveform(
     The modes are kept if they ring, that is, fall to 1/e in 0.3 of a period or later, and explain 95 % of the taps'
     variance (the median; a tap that was left out counts as 0). Otherwise the waveform is taken if its residual has less
     than half the variance of the modes' residual. The comparison favours the modes, which are fitted to each tap
-    separately; the waveform that explains a tap is fitted to the other taps.
+    separately; the waveform that explains a tap is fitted to the other taps. If no mode can be fitted, taps that ring
+    past the recording's end, or longer than a waveform lasts, get no waveform.
     """
     if isinstance(ringing, UnitError):
         return None
@@ -195,6 +196,8 @@ def _better_waveform(
     try:
         pulses = pulses_of(recordings, warnings, excluded)
         if isinstance(ringing, FitError):
+            if 2 * sum(pulse.rings_on for pulse in pulses) > len(pulses):
+                return None
             found = fit_waveform(pulses, warnings, excluded)
             explains = found.variance_accounted_for >= LOWER_LIMITS["variance that a waveform explains"].poor
             resolved = found.samples_a_period >= LOWER_LIMITS["samples in a period of a waveform"].poor

@@ -125,6 +125,7 @@ class WaveformLimits:
     fade_out_fraction: float = _limit(0.2, "fraction of the length", "This last part of a pulse is faded out.")
     min_explained: float = _limit(0.5, "fraction of the variance", "If the others explain less, a pulse is left out.")
     error_to_change: float = _limit(4 / 3, "ratio", "Error over change at twice the rate (second order).")
+    min_ringing_turns: int = _limit(2, "changes of sign", "A pulse that has not ended, and has as many, rings.")
     max_groups: int = _limit(16, "groups", "With more pulses the jackknife leaves out groups of pulses.")
 
 

@@ -138,7 +138,9 @@ class _Search:
     def _best(self, signal: Floats, onset_s: float, earlier: Floats) -> Floats:
         """Return the point `earlier` with one more mode, the best mode of a grid for this signal (n,)."""
         first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - RINGING_LIMITS.min_samples // 2)
-        rings = signal[first:] - signal[first:].mean()
+        time_s = self._time_s[first:]
+        # A drift would hide a slow ringing in the spectrum.
+        rings = signal[first:] - np.polyval(np.polyfit(time_s, signal[first:], 1), time_s)
         power = np.abs(np.fft.rfft(rings, 8 * len(rings))) ** 2
         highest = 1 + int(np.argmax(power[1:]))
         peak_hz = highest * self._rate_hz / (8 * len(rings))

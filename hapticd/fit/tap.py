@@ -84,9 +84,12 @@ class Events:
             self.events = _loud_events(recording, above)
         self.speeds = _given_speeds(recording, self.events, above)
         """(events,) approach speeds from the file, m/s; None if the file has none or a single speed."""
-        if self.speeds is not None and len(self.speeds) != len(self.events):
+        if self.speeds is None or len(self.speeds) != len(self.events):
             # A single loud sample may be noise.
-            self.events = [each for each in self.events if each.first < each.last] or self.events
+            surely = math.inf if self.speeds is not None else TAP_LIMITS.min_shapeless_peak_to_noise
+            self.events = [
+                each for each in self.events if each.first < each.last or each.peak > surely * each.noise
+            ] or self.events
         if self.speeds is None or len(self.speeds) != len(self.events):
             kept = _without_bounces(recording, self.events)
             bounces = len(self.events) - len(kept)
@@ -271,14 +274,11 @@ def _separated(above: Floats, level: float, rate_hz: float) -> list[tuple[int, i
             parts.append([int(part[0]), int(part[-1])])
     found: list[tuple[int, int, bool]] = []
     for first, last in parts:
-        edges = [first]
-        for rise in _rises(above[first : last + 1], level, rate_hz):
-            edges.append(first + rise)
+        edges = [first, *(first + rise for rise in _rises(above[first : last + 1], level, rate_hz))]
         for begin, end in zip(edges, [*edges[1:], last + 1], strict=True):
-            here = loud[np.searchsorted(loud, begin) : np.searchsorted(loud, end)]
-            found.append(
-                (int(here[0]), int(here[-1]), begin > first and here[0] - found[-1][1] < TAP_LIMITS.min_rest_samples)
-            )
+            here = loud[np.searchsorted(loud, begin) : np.searchsorted(loud, end)].tolist()
+            rises = begin > first and here[0] - found[-1][1] <= TAP_LIMITS.min_rest_samples
+            found.append((here[0], here[-1], rises))
     return found
 
 
@@ -301,12 +301,10 @@ def _rises(event: Floats, level: float, rate_hz: float) -> list[int]:
         ahead = maximum_filter1d(size, width, origin=-(width // 2), mode="constant")
         behind = np.concatenate((np.full(min(width, len(size)), math.inf), ahead[: max(0, len(size) - width)]))
         rising &= (ahead > TAP_LIMITS.min_onset_rise * behind) & (ahead - behind > level)
-    found: list[int] = []
-    for sample in np.flatnonzero(rising).tolist():
-        if found and sample - found[-1] < nearest:
-            continue
-        found.append(sample)
-    return found
+    places = np.flatnonzero(rising)
+    # The last sample of a run is on the steep front of the first half period.
+    ends = places[np.diff(places, append=len(event) + nearest) >= nearest]
+    return [int(end) - period // 4 for end in ends]
 
 
 def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
@@ -1104,7 +1102,7 @@ def fit_tap(
         second = second_mode(taps, explained)
     outlier = speed_law.single_outlier(taps, speeds, figures.amplitude[0], figures.noise)
     law = speed_law.law_of(speeds, *figures.amplitude, "line" if outlier else None)
-    _check_recordings(warnings, recordings, taps, frequency)
+    _check_recordings(warnings, recordings, taps, frequency, decay_time, excluded)
     _check_mode(warnings, taps, second, explained, lines)
     modes = _modes_over_speed(warnings, figures, frequency, decay_time)
     if outlier:
@@ -1164,12 +1162,11 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
             "a hand's motion, not a tap"
         )
     longest_s = max(len(tap.measured) / tap.rate_hz for tap in taps)
-    # The fitted section has seven decay times, unless the recording or the next tap ends it.
     max_s = TAP_LIMITS.max_decay_time * longest_s
     if decay_time_s > max_s:
         raise FitError(
-            f"the ringing does not decay: its decay time is {decay_time_s:.3g} s, must be at most {max_s:.3g} s if "
-            f"{longest_s:.3g} s are fitted"
+            f"the ringing does not decay enough before the recording or the next tap ends it: its decay time is "
+            f"{decay_time_s:.3g} s, must be at most {max_s:.3g} s if {longest_s:.3g} s are fitted"
         )
 
 
@@ -1177,7 +1174,12 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
 
 
 def _check_recordings(
-    warnings: Warnings, recordings: Sequence[Recording], taps: Sequence[TapHit], frequency: Estimate
+    warnings: Warnings,
+    recordings: Sequence[Recording],
+    taps: Sequence[TapHit],
+    frequency: Estimate,
+    decay_time: Estimate,
+    excluded: Exclusions,
 ) -> None:
     """Downgrade the verdict for hum in the residuals, and for a low sampling rate."""
     of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
@@ -1186,6 +1188,12 @@ def _check_recordings(
         seen = recording.acceleration_m_per_s2
         assert seen is not None
         model = np.full(len(seen), np.median(seen))
+        for each in excluded.items:
+            if each.recording == recording.name and each.time_s is not None:
+                # The ringing of a tap that was left out is no hum.
+                end_s = each.time_s + TAP_LIMITS.fit_decay_times * decay_time.value
+                here = slice(round(each.time_s * recording.rate_hz), math.ceil(end_s * recording.rate_hz))
+                model[here] = seen[here]
         for tap in taps:
             if tap.recording == recording.name:
                 begin = round(tap.begin_s * tap.rate_hz)

@@ -48,6 +48,8 @@ class Pulse:
     rate_hz: float
     measured: Floats
     """(n,) acceleration, m/s^2."""
+    lasts_s: float
+    """Time from the first loud sample to the last, which may be after those of `measured`."""
 
     def until(self, end_s: float) -> Pulse:
         """Return the pulse without the samples later than `end_s` after its first sample."""
@@ -69,6 +71,15 @@ class Pulse:
         """Median of the acceleration before the onset, m/s^2."""
         first = max(1, math.floor(self.onset_s * self.rate_hz))
         return float(np.median(self.measured[:first]))
+
+    @property
+    def rings_on(self) -> bool:
+        """Whether the pulse changes its sign at least twice and is loud to the end of `measured`."""
+        above = self.measured - self.rest
+        strong = above[np.abs(above) > WAVEFORM_LIMITS.alignment_level * np.abs(above).max()]
+        turns = int(np.count_nonzero(np.diff(np.sign(strong))))
+        to_the_end = self.lasts_s > 0.9 * (len(self.measured) / self.rate_hz - self.onset_s)
+        return to_the_end and turns >= WAVEFORM_LIMITS.min_ringing_turns
 
     def crossing_s(self) -> float:
         """Return the time, s after the first sample, at which the pulse rises above alignment_level times its peak."""
@@ -102,13 +113,15 @@ def pulses_of(recordings: Sequence[Recording], lines: list[str], excluded: Exclu
 
 def _pulse(loud: Events, index: int) -> Pulse:
     """Return the pulse of an event, with up to 20 ms of rest before the onset; raise Unusable if it cannot be used."""
-    first, (before, after) = loud.events[index].first, loud.section(index)
+    event, (before, after) = loud.events[index], loud.section(index)
+    first = event.first
     name, rate_hz = loud.recording.name, loud.recording.rate_hz
     begin = max(before, first - max(TAP_LIMITS.min_rest_samples, round(0.02 * rate_hz)))
     end = min(after, first + round(MAX_WAVEFORM_LENGTH_S * rate_hz))
     loud.check(begin, end)
     speed = loud.speed(index, first / rate_hz)
-    return Pulse(name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, loud.acceleration[begin:end])
+    measured, lasts_s = loud.acceleration[begin:end], (event.last - first) / rate_hz
+    return Pulse(name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, measured, lasts_s)
 
 
 # ---- Model: the common shape of the pulses ---------------------------------------------------------------------------
