@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -31,10 +31,6 @@ from hapticd.fit.speed_law import Amplitudes, Law, LawKind, Power
 from hapticd.fit.verdict import Exclusions, Warnings
 
 # ---- Onsets: what is loud in a recording -----------------------------------------------------------------------------
-
-
-WAIT: Final = "wait longer between taps"
-"""Advice for taps that begin while the one before still rings."""
 
 
 class Unusable(FitError):
@@ -118,10 +114,10 @@ class Events:
             if low <= first < high:
                 begin, end = max(begin, low), min(end, high)
                 break
-        if index and self.events[index].rises:
+        if self.events[index].rises:
+            before_s = self.events[index - 1].first / self.recording.rate_hz
             raise Unusable(
-                f"begins while the tap at {self.events[index - 1].first / self.recording.rate_hz:.4g} s still "
-                f"rings: {WAIT}"
+                f"begins while the tap at {before_s:.4g} s still rings, or a tone hums: wait longer between taps"
             )
         if first - begin < TAP_LIMITS.min_rest_samples:
             raise Unusable(f"{first - begin} samples of rest before the tap, {TAP_LIMITS.min_rest_samples} are needed")
@@ -274,11 +270,12 @@ def _separated(above: Floats, level: float, rate_hz: float) -> list[tuple[int, i
             parts.append([int(part[0]), int(part[-1])])
     found: list[tuple[int, int, bool]] = []
     for first, last in parts:
-        edges = [first, *(first + rise for rise in _rises(above[first : last + 1], level, rate_hz))]
-        for begin, end in zip(edges, [*edges[1:], last + 1], strict=True):
-            here = loud[np.searchsorted(loud, begin) : np.searchsorted(loud, end)].tolist()
-            rises = begin > first and here[0] - found[-1][1] <= TAP_LIMITS.min_rest_samples
-            found.append((here[0], here[-1], rises))
+        here = loud[(loud >= first) & (loud <= last)]
+        edges = [first + rise for rise in _rises(above[first : last + 1], level, rate_hz)]
+        for piece in np.split(here, np.searchsorted(here, edges)):
+            if len(piece):
+                rises = piece[0] > first and piece[0] - found[-1][1] <= TAP_LIMITS.min_rest_samples
+                found.append((int(piece[0]), int(piece[-1]), bool(rises)))
     return found
 
 
@@ -469,8 +466,9 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
                 left = abs(before.coefficient_m_per_s2 / hit.coefficient_m_per_s2) * fallen
                 if left > TAP_LIMITS.max_remainder:
                     raise Unusable(
-                        f"the tap at {before.onset_s:.4g} s still rings with {100 * left:.0f} % of this tap's amplitude, "
-                        f"at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: {WAIT}"
+                        f"the tap at {before.onset_s:.4g} s still rings with {100 * left:.0f} % of this tap's "
+                        f"amplitude, at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: wait longer between "
+                        "taps"
                     )
             found.append(hit)
         except Unusable as no:
@@ -1102,7 +1100,7 @@ def fit_tap(
         second = second_mode(taps, explained)
     outlier = speed_law.single_outlier(taps, speeds, figures.amplitude[0], figures.noise)
     law = speed_law.law_of(speeds, *figures.amplitude, "line" if outlier else None)
-    _check_recordings(warnings, recordings, taps, frequency, decay_time, excluded)
+    _check_recordings(warnings, recordings, taps, frequency, excluded)
     _check_mode(warnings, taps, second, explained, lines)
     modes = _modes_over_speed(warnings, figures, frequency, decay_time)
     if outlier:
@@ -1178,7 +1176,6 @@ def _check_recordings(
     recordings: Sequence[Recording],
     taps: Sequence[TapHit],
     frequency: Estimate,
-    decay_time: Estimate,
     excluded: Exclusions,
 ) -> None:
     """Downgrade the verdict for hum in the residuals, and for a low sampling rate."""
@@ -1190,8 +1187,8 @@ def _check_recordings(
         model = np.full(len(seen), np.median(seen))
         for each in excluded.items:
             if each.recording == recording.name and each.time_s is not None:
-                # The ringing of a tap that was left out is no hum.
-                end_s = each.time_s + TAP_LIMITS.fit_decay_times * decay_time.value
+                # The ringing of a tap that was left out is not a hum.
+                end_s = each.time_s + TAP_LIMITS.fit_decay_times / min(tap.decay_rate_per_s for tap in taps)
                 here = slice(round(each.time_s * recording.rate_hz), math.ceil(end_s * recording.rate_hz))
                 model[here] = seen[here]
         for tap in taps:

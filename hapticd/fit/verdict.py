@@ -319,10 +319,10 @@ class Exclusions:
         `used` events remain, named `events`. A complete recording counts as one event.
         """
         warnings.lines[:0] = self.lines()
-        whole = sum(each.what != ONE_PART for each in self.items)
+        complete = sum(each.what != ONE_PART for each in self.items)
         parts = sum(each.fraction for each in self.items if each.what == ONE_PART)
-        count = used + whole
-        self._count = f"{whole} of {count} {events} are left out"
+        count = used + complete
+        self._count = f"{complete} of {count} {events} are left out"
         if parts:
             self._count += f", and parts as long as {parts:.2g} of the others"
-        warnings.check("part left out", (whole + parts) / max(1, count), left=self._count)
+        warnings.check("part left out", (complete + parts) / max(1, count), left=self._count)

@@ -94,7 +94,7 @@ def test_taps_during_a_ringing_are_found_once_and_left_out_with_the_reason(
 def test_speeds_for_taps_that_cannot_be_separated_are_refused_with_the_reason() -> None:
     recording = ringing("bell", 0.1 + 0.2 * np.arange(6), SPEEDS, 80, 1.5, 1.4)
     with pytest.raises(
-        FitError, match="6 speeds for .* a tap is found only if the one before has almost stopped ringing"
+        FitError, match=r"6 speeds for .* a tap is found only if the one before has almost stopped ringing"
     ):
         fit_tap([recording])
 
