@@ -267,7 +267,7 @@ def test_a_waveform_of_the_minority_of_the_taps_is_not_good() -> None:
         samples[first : first + 4] = top
     found = waveform_of(recording)
     assert len(found.taps) == usable
-    assert found.judged.quality == "fair"
+    assert found.judged.quality == "poor"
     gone = len(SPEEDS) - usable
     assert found.judged.reasons == (f"{gone} of {len(SPEEDS)} taps are left out",)
     left_out = found.to_dict()["left_out"]
