@@ -429,6 +429,10 @@ class TapHit:
         before = float(np.std(left[:onset]))
         return float(np.std(left[onset:end])) / before if before > 0 else math.inf
 
+    def remainder(self, time_s: float) -> float:
+        """Return the amplitude of the mode, m/s^2, at a time on the recording's clock."""
+        return abs(self.coefficient_m_per_s2) * math.exp(-self.decay_rate_per_s * (time_s - self.onset_s))
+
     def negated(self) -> TapHit:
         """Return the same tap with the sign of the acceleration reversed."""
         pair = None if self.pair is None else self.pair.negated()
@@ -459,17 +463,18 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
     refused: list[tuple[Event, Unusable]] = []
     for index, event in enumerate(events):
         try:
+            if found and not event.rises:
+                left = found[-1].remainder(event.first / recording.rate_hz)
+                if event.noise < left and event.peak <= left + TAP_LIMITS.min_peak_to_noise * event.noise:
+                    # Noise on the ringing of the tap before.
+                    continue
             hit = _hit_of(loud, index)
-            if found:
-                before = found[-1]
-                fallen = math.exp(-before.decay_rate_per_s * (hit.onset_s - before.onset_s))
-                left = abs(before.coefficient_m_per_s2 / hit.coefficient_m_per_s2) * fallen
-                if left > TAP_LIMITS.max_remainder:
-                    raise Unusable(
-                        f"the tap at {before.onset_s:.4g} s still rings with {100 * left:.0f} % of this tap's "
-                        f"amplitude, at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: wait longer between "
-                        "taps"
-                    )
+            left = found[-1].remainder(hit.onset_s) / abs(hit.coefficient_m_per_s2) if found else 0.0
+            if left > TAP_LIMITS.max_remainder:
+                raise Unusable(
+                    f"the tap at {found[-1].onset_s:.4g} s still rings with {100 * left:.0f} % of this tap's amplitude, "
+                    f"at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: wait longer between taps"
+                )
             found.append(hit)
         except Unusable as no:
             refused.append((event, no))
@@ -1207,6 +1212,7 @@ def _check_mode(
     warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, lines: list[str]
 ) -> None:
     """Downgrade the verdict if the modes do not explain the taps; one mode explains the fraction `explained`."""
+    noisy = float(np.median([tap.residual_to_noise for tap in taps]))
     if second is not None:
         together = 100 * second.variance_accounted_for
         lines.append(
@@ -1217,7 +1223,7 @@ def _check_mode(
         poor = second.variance_accounted_for < TAP_LIMITS.well_explained
         if poor or not second.kept:
             warnings.add(poor, f"two explain {together:.1f} %")
-    elif explained < TAP_LIMITS.well_explained:
+    elif explained < TAP_LIMITS.well_explained and noisy > TAP_LIMITS.max_residual_to_noise:
         warnings.add(True, "the residuals are not noise")
     else:
         warnings.add(False, _lack_of_fit(taps), "the errors of the figures may be larger than their intervals")
