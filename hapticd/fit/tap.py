@@ -472,8 +472,8 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
             left = found[-1].remainder(hit.onset_s) / abs(hit.coefficient_m_per_s2) if found else 0.0
             if left > TAP_LIMITS.max_remainder:
                 raise Unusable(
-                    f"the tap at {found[-1].onset_s:.4g} s still rings with {100 * left:.0f} % of this tap's amplitude, "
-                    f"at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: wait longer between taps"
+                    f"the tap at {found[-1].onset_s:.4g} s still rings with {100 * left:.0f} % of this tap's amplitude"
+                    f", at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: wait longer between taps"
                 )
             found.append(hit)
         except Unusable as no:

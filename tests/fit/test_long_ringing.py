@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 
@@ -63,6 +64,22 @@ def test_a_long_ringing_is_one_tap(frequency_hz: float, decay_time_s: float, len
         assert figure.value == pytest.approx(truth, rel=0.01)
         # The interval of 95 %, doubled: a right interval misses the truth in one of 600 fits of six taps.
         assert abs(figure.value - truth) < 2 * max(figure.high - figure.value, figure.value - figure.low)
+
+
+@pytest.mark.long
+def test_a_long_ringing_in_noise_or_on_a_drift_is_not_a_waveform() -> None:
+    """The noise is a tenth of the weakest tap; the drift is 10 m/s^3."""
+    noisy = one_each(112, 0.24, 1.3, noise=3.0)
+    drifting = [
+        dataclasses.replace(each, acceleration_m_per_s2=each.acceleration_m_per_s2 + np.linspace(0.0, 15.0, 6000))
+        for each in one_each(38, 0.3, 1.5)
+    ]
+    for recordings, frequency_hz, decay_time_s in ((noisy, 112.0, 0.24), (drifting, 38.0, 0.3)):
+        fit = fit_taps(recordings)
+        assert isinstance(fit, TapFit)
+        assert len(fit.taps) == len(SPEEDS) and fit.left_out == () and fit.judged.quality == "good"
+        assert fit.frequency_hz.value == pytest.approx(frequency_hz, rel=0.002)
+        assert fit.decay_time_s.value == pytest.approx(decay_time_s, rel=0.03)
 
 
 @pytest.mark.long
