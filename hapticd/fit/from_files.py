@@ -23,7 +23,7 @@ from hapticd.fit.recording import Kind, NoRecordingError, Recording, RecordingEr
 from hapticd.fit.result import Fit, estimates
 from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
-from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of
+from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of, ring_on
 
 AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material gets a waveform; --as mode fits a mode"
 """Note for the user if a waveform was chosen automatically."""
@@ -195,9 +195,8 @@ def _better_waveform(
     warnings: list[str] = []
     try:
         pulses = pulses_of(recordings, warnings, excluded)
-        ring_on = 2 * sum(pulse.rings_on for pulse in pulses) > len(pulses)
         if isinstance(ringing, FitError):
-            if ring_on:
+            if ring_on(pulses):
                 return None
             found = fit_waveform(pulses, warnings, excluded)
             explains = found.variance_accounted_for >= LOWER_LIMITS["variance that a waveform explains"].poor
@@ -210,7 +209,7 @@ def _better_waveform(
         by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
         # Noise hides the end of a long ringing, which a waveform does not have to explain.
         noise_only = np.median([tap.residual_to_noise for tap in ringing.taps]) < TAP_LIMITS.max_residual_to_noise
-        if rings and (by_mode >= WAVEFORM_LIMITS.min_mode_explained or (ring_on and noise_only)):
+        if rings and (by_mode >= WAVEFORM_LIMITS.min_mode_explained or (ring_on(pulses) and noise_only)):
             return None
         found = fit_waveform(pulses, warnings, excluded)
     except FitError:

@@ -93,6 +93,11 @@ class Pulse:
         return (before + (level - low) / (high - low)) / self.rate_hz
 
 
+def ring_on(pulses: Sequence[Pulse]) -> bool:
+    """Return whether most of these pulses ring on after a waveform ends."""
+    return 2 * sum(pulse.rings_on for pulse in pulses) > len(pulses)
+
+
 def pulses_of(recordings: Sequence[Recording], lines: list[str], excluded: Exclusions) -> list[Pulse]:
     """Return the taps of recordings, each with the rest before it; unusable taps are added to `excluded`."""
 
@@ -538,10 +543,10 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
     law = speed_law.law_of(speeds, peaks, variances)
     warnings.check("variance that a waveform explains", fraction)
-    if faded:
-        reason = f"the pulses have not ended after {1e3 * curve.length_s:.3g} ms"
+    if faded or ring_on(pulses):
         percent = 100 * WAVEFORM_LIMITS.fade_out_fraction
-        warnings.add(False, reason, f"the waveform is faded out over its last {percent:.0f} %")
+        fade = f"the waveform is faded out over its last {percent:.0f} %" if faded else "--as mode fits a ringing"
+        warnings.add(False, f"the pulses have not ended after {1e3 * curve.length_s:.3g} ms", fade)
     warnings.check("samples in a period of a waveform", resolved)
     speed_law.check_law(warnings, law, line.r_squared)
     speed_law.check_hardness(slope.value, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")

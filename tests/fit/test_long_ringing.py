@@ -87,6 +87,8 @@ def test_a_recording_that_ends_too_early_is_refused_and_gets_no_waveform() -> No
     for frequency_hz, decay_time_s, length_s in ((38, 1.0, 0.9), (80, 0.1, 0.2)):
         with pytest.raises(FitError, match="does not decay enough before the recording or the next tap ends it"):
             fit_taps(one_each(frequency_hz, decay_time_s, length_s))
+    chosen = fit_taps(one_each(300, 0.8, 1.2), "waveform")
+    assert chosen.judged.quality == "fair" and "the pulses have not ended" in chosen.judged.reasons[0]
 
 
 @pytest.mark.parametrize(("frequency_hz", "decay_time_s"), [(20, 0.4), (80, 1.0), (300, 0.5)])
