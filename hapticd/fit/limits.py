@@ -56,7 +56,7 @@ class TapLimits:
     max_pause: float = _limit(0.2, "fraction of the loud time", "A longer quiet time ends an event that rings long.")
     min_onset_distance_s: float = _limit(0.05, "s", "A hand does not tap again sooner.")
     min_onset_rise: float = _limit(1.4, "ratio", "A larger abrupt rise within an event is the onset of another tap.")
-    max_remainder: float = _limit(0.1, "fraction of the tap", "If the tap before rings more, a tap is left out.")
+    max_remainder: float = _limit(0.25, "fraction of the tap", "If the tap before rings more, a tap is left out.")
     max_bounce_s: float = _limit(0.15, "s", "A weaker event within this time after a tap is its bounce.")
     max_bounce_size: float = _limit(0.8, "fraction of the tap before", "A larger event is a tap.")
     long_event_s: float = _limit(0.1, "s", "A longer event does not count for gravity and drift.")

@@ -120,14 +120,14 @@ def test_speeds_for_taps_that_cannot_be_separated_are_refused_with_the_reason() 
 
 @pytest.mark.long
 def test_a_tap_on_the_remainder_of_another_is_left_out_and_its_ringing_is_no_hum() -> None:
-    """0.9 s after a tap, 5 % of its ringing remains, which is a fifth of the next tap."""
-    speeds = (0.4, 0.3, 0.2, 0.25, 0.35, 0.4, 0.1)
+    """0.9 s after a tap, 5 % of its ringing remains, which is more than a quarter of the next tap."""
+    speeds = (0.4, 0.3, 0.2, 0.25, 0.35, 0.4, 0.05)
     recording = ringing("bell", 0.1003 + 0.9 * np.arange(7), speeds, 160, 0.3, 6.4)
     fit = fit_tap([recording])
     (left,) = fit.left_out
     assert left.time_s == pytest.approx(5.5, abs=0.01)
-    assert re.match("the tap at 4.6 s still rings with [12][0-9] % of this tap's amplitude", left.reason)
-    assert "at most 10 % is allowed" in left.reason
+    assert re.match("the tap at 4.6 s still rings with [2-5][0-9] % of this tap's amplitude", left.reason)
+    assert "at most 25 % is allowed" in left.reason
     assert not any("hum" in reason for reason in fit.judged.reasons)
     assert fit.decay_time_s.value == pytest.approx(0.3, rel=0.01)
 
