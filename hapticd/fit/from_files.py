@@ -16,7 +16,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import load_path, printable
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
-from hapticd.fit.limits import WAVEFORM_LIMITS
+from hapticd.fit.limits import TAP_LIMITS, WAVEFORM_LIMITS
 from hapticd.fit.options import FitOptions, TapKind
 from hapticd.fit.preparation import refuse_duplicates
 from hapticd.fit.recording import FatalRecordingError, Kind, Recording, RecordingError, load
@@ -24,7 +24,7 @@ from hapticd.fit.result import Fit, estimates
 from hapticd.fit.speed_law import LawKind
 from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
-from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of
+from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of, ring_on
 
 AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material gets a waveform; --as mode fits a mode"
 """Note for the user if a waveform was chosen automatically."""
@@ -66,7 +66,10 @@ def fitted_files(
     # A division by zero gives NaN, which no material accepts: no need to warn.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        fitted = _fit(kind, options, recordings, step, excluded)
+        try:
+            fitted = _fit(kind, options, recordings, step, excluded)
+        except FitError as error:
+            raise excluded.explained(error) from None
     used: list[Recording] = []
     unused: list[Recording] = []
     for recording in recordings:
@@ -197,7 +200,8 @@ def _better_waveform(
     The modes are kept if they ring, that is, fall to 1/e in 0.3 of a period or later, and explain 95 % of the taps'
     variance (the median; a tap that was left out counts as 0). Otherwise the waveform is taken if its residual has less
     than half the variance of the modes' residual. The comparison favours the modes, which are fitted to each tap
-    separately; the waveform that explains a tap is fitted to the other taps.
+    separately; the waveform that explains a tap is fitted to the other taps. Taps that ring longer than a waveform
+    lasts, or past the recording's end, get no waveform if no mode can be fitted, or if a mode leaves only noise.
     """
     if isinstance(ringing, UnitError):
         return None
@@ -205,6 +209,8 @@ def _better_waveform(
     try:
         pulses = pulses_of(recordings, warnings, excluded)
         if isinstance(ringing, FitError):
+            if ring_on(pulses):
+                return None
             found = fit_waveform(pulses, warnings, excluded)
             explains = found.variance_accounted_for >= LOWER_LIMITS["variance that a waveform explains"].poor
             resolved = found.samples_a_period >= LOWER_LIMITS["samples in a period of a waveform"].poor
@@ -214,7 +220,9 @@ def _better_waveform(
         if ringing.second is not None and rings:
             by_mode = max(by_mode, ringing.second.variance_accounted_for)
         by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
-        if rings and by_mode >= WAVEFORM_LIMITS.min_mode_explained:
+        # Noise hides the end of a long ringing, which a waveform does not have to explain.
+        noise_only = np.median([tap.residual_to_noise for tap in ringing.taps]) < TAP_LIMITS.max_residual_to_noise
+        if rings and (by_mode >= WAVEFORM_LIMITS.min_mode_explained or (ring_on(pulses) and noise_only)):
             return None
         found = fit_waveform(pulses, warnings, excluded)
     except FitError:

@@ -677,7 +677,7 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
     if not fits:
         raise excluded.refused(f"none of {len(recordings)} recordings can be used")
     preparation.report_cleaning([each.stroke for each in fits], warnings)
-    excluded.report(recordings, warnings)
+    excluded.report_recordings(recordings, warnings)
     _refuse_others(fits)
     recordings = [each.stroke.recording for each in fits]
     modes = [_mean_mode(each.groups) for each in fits]

@@ -53,8 +53,13 @@ class TapLimits:
     min_peak_to_noise: float = _limit(8.0, "ratio", "The peak of white noise alone stays below this ratio.")
     min_loud_level: float = _limit(0.05, "fraction of the peak", "Samples below this level do not belong to a tap.")
     min_quiet_s: float = _limit(0.02, "s", "A time of this length without a loud sample separates two events.")
+    max_pause: float = _limit(0.2, "fraction of the loud time", "A longer quiet time ends an event that rings long.")
+    min_onset_distance_s: float = _limit(0.05, "s", "A hand does not tap again sooner.")
+    min_onset_rise: float = _limit(1.4, "ratio", "A larger abrupt rise within an event is the onset of another tap.")
+    max_remainder: float = _limit(0.25, "fraction of the tap", "If the tap before rings more, a tap is left out.")
     max_bounce_s: float = _limit(0.15, "s", "A weaker event within this time after a tap is its bounce.")
     max_bounce_size: float = _limit(0.8, "fraction of the tap before", "A larger event is a tap.")
+    long_event_s: float = _limit(0.1, "s", "A longer event does not count for gravity and drift.")
     short_recording_s: float = _limit(0.5, "s", "Shorter recordings have their level and noise from before the tap.")
     max_rest_change: float = _limit(0.1, "fraction of the largest change", "The initial rest ends at a larger change.")
     approach_s: float = _limit(0.01, "s", "The speed is the slope of the position over this time before the onset.")
@@ -122,6 +127,7 @@ class WaveformLimits:
     fade_out_fraction: float = _limit(0.2, "fraction of the length", "This last part of a pulse is faded out.")
     min_explained: float = _limit(0.5, "fraction of the variance", "If the others explain less, a pulse is left out.")
     error_to_change: float = _limit(4 / 3, "ratio", "Error over change at twice the rate (second order).")
+    min_ringing_turns: int = _limit(2, "changes of sign", "A pulse that has not ended, and has as many, rings.")
     max_groups: int = _limit(16, "groups", "With more pulses the jackknife leaves out groups of pulses.")
 
 

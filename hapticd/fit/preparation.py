@@ -362,7 +362,8 @@ def complete_sections(recording: Recording, min_s: float, excluded: Exclusions) 
             f"{recording.name}: {reason}: {100 * usable / samples:.0f} % of the samples are in complete sections of "
             f"{min_s:g} s, {100 * PREPARATION_LIMITS.min_complete_fraction:.0f} % are needed"
         )
-    excluded.add(recording.name, f"{(samples - usable) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", ONE_PART)
+    lost = f"{(samples - usable) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}"
+    excluded.add(recording.name, lost, ONE_PART, fraction=1 - usable / samples)
     found = []
     for begin, end in kept:
         parts = {name: values[begin:end] for name, values in columns.items() if len(values) == samples}

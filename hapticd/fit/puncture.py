@@ -360,7 +360,7 @@ def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, warnings: W
     for each in found:
         if each.rupture.recording in used:
             warnings.merge(each.warnings)
-    excluded.report(recordings, warnings)
+    excluded.report_recordings(recordings, warnings)
     return ruptures
 
 

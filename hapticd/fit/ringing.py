@@ -138,10 +138,14 @@ class _Search:
     def _best(self, signal: Floats, onset_s: float, earlier: Floats) -> Floats:
         """Return the point `earlier` with one more mode, the best mode of a grid for this signal (n,)."""
         first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - RINGING_LIMITS.min_samples // 2)
-        rings = signal[first:] - signal[first:].mean()
-        power = np.abs(np.fft.rfft(rings, 8 * len(rings))) ** 2
-        highest = 1 + int(np.argmax(power[1:]))
-        peak_hz = highest * self._rate_hz / (8 * len(rings))
+        time_s, padding = self._time_s[first:], 8
+        for degree in (0, 1):
+            rings = signal[first:] - np.polyval(np.polyfit(time_s, signal[first:], degree), time_s)
+            highest = 1 + int(np.argmax(np.abs(np.fft.rfft(rings, padding * len(rings)))[1:]))
+            if highest >= 2 * padding:
+                # Otherwise a drift may hide a slow ringing.
+                break
+        peak_hz = highest * self._rate_hz / (padding * len(rings))
         known = len(earlier) // 2
         grid = []
         # Factors of the highest line of the spectrum, periods of the onset before the first large sample, and B over w.

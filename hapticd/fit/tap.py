@@ -57,6 +57,8 @@ class Event:
     """Standard deviation of the noise in the section without gaps around the event, m/s^2."""
     peak: float
     """Largest magnitude of the acceleration without gravity and drift, m/s^2."""
+    rises: bool = False
+    """Whether the event before is loud until this one."""
 
 
 class Events:
@@ -73,18 +75,25 @@ class Events:
         lines += preparation.gravity_of([recording])
         above = self.acceleration - _base(self.acceleration, recording.rate_hz)
         self.events = _loud_events(recording, above)
+        if any(each.last - each.first > TAP_LIMITS.long_event_s * recording.rate_hz for each in self.events):
+            above = self.acceleration - _base(self.acceleration, recording.rate_hz, self.events)
+            self.events = _loud_events(recording, above)
         self.speeds = _given_speeds(recording, self.events, above)
         """(events,) approach speeds from the file, m/s; None if the file has none or a single speed."""
-        if self.speeds is not None and len(self.speeds) != len(self.events):
+        if self.speeds is None or len(self.speeds) != len(self.events):
             # A single loud sample may be noise.
-            self.events = [each for each in self.events if each.first < each.last] or self.events
+            surely = math.inf if self.speeds is not None else TAP_LIMITS.min_shapeless_peak_to_noise
+            self.events = [
+                each for each in self.events if each.first < each.last or each.peak > surely * each.noise
+            ] or self.events
         if self.speeds is None or len(self.speeds) != len(self.events):
             kept = _without_bounces(recording, self.events)
             bounces = len(self.events) - len(kept)
             if self.speeds is not None and len(self.speeds) != len(kept):
                 raise FitError(
                     f"{recording.name}: has {len(self.speeds)} speeds for {len(kept)} taps"
-                    f"{f' and {bounces} bounces' if bounces else ''}: needs one for each tap"
+                    f"{f' and {bounces} bounces' if bounces else ''}: needs one for each tap; a tap is found only if "
+                    "the one before has almost stopped ringing"
                 )
             if bounces:
                 lines.append(f"{recording.name}: {bounces} bounces after taps are left out")
@@ -105,6 +114,11 @@ class Events:
             if low <= first < high:
                 begin, end = max(begin, low), min(end, high)
                 break
+        if self.events[index].rises:
+            before_s = self.events[index - 1].first / self.recording.rate_hz
+            raise Unusable(
+                f"begins while the tap at {before_s:.4g} s still rings, or a tone hums: wait longer between taps"
+            )
         if first - begin < TAP_LIMITS.min_rest_samples:
             raise Unusable(f"{first - begin} samples of rest before the tap, {TAP_LIMITS.min_rest_samples} are needed")
         return begin, end
@@ -176,20 +190,28 @@ def _checked(recording: Recording) -> Floats:
     return acceleration
 
 
-def _base(acceleration: Floats, rate_hz: float) -> Floats:
+def _base(acceleration: Floats, rate_hz: float, events: Sequence[Event] = ()) -> Floats:
     """Return the acceleration (n,) due to gravity and drift: medians over blocks of 50 ms, interpolated linearly.
 
-    For a short recording that begins at rest, return the median of that rest: slow ringing would shift block medians.
+    Samples of long `events` do not count, because slow ringing shifts medians. For a short recording that begins at
+    rest, return the median of that rest.
     """
     if len(acceleration) < TAP_LIMITS.short_recording_s * rate_hz:
         off = np.abs(acceleration - acceleration[0])
         rest = int(np.argmax(off > TAP_LIMITS.max_rest_change * off.max()))
         if rest >= TAP_LIMITS.min_rest_samples:
             return np.full(len(acceleration), np.median(acceleration[:rest]))
-    blocks = np.array_split(acceleration, max(1, len(acceleration) // _samples(0.05, rate_hz, 32)))
-    lengths = np.array([len(block) for block in blocks])
-    middles = np.cumsum(lengths) - lengths / 2
-    return np.asarray(np.interp(np.arange(len(acceleration)), middles, [np.median(block) for block in blocks]))
+    quiet = np.ones(len(acceleration), dtype=np.bool_)
+    for event in events:
+        if event.last - event.first > TAP_LIMITS.long_event_s * rate_hz:
+            quiet[max(0, event.first - _samples(0.002, rate_hz, 2)) : event.last + 1] = False
+    if np.count_nonzero(quiet) < TAP_LIMITS.certain_rest_samples:
+        quiet[:] = True
+    places = np.array_split(np.arange(len(acceleration)), max(1, len(acceleration) // _samples(0.05, rate_hz, 32)))
+    blocks = [kept for block in places if len(kept := block[quiet[block]]) >= TAP_LIMITS.min_rest_samples]
+    middles = [0.5 * (block[0] + block[-1] + 1) for block in blocks]
+    medians = [np.median(acceleration[block]) for block in blocks]
+    return np.asarray(np.interp(np.arange(len(acceleration)), middles, medians))
 
 
 def _loud_events(recording: Recording, above: Floats) -> list[Event]:
@@ -214,25 +236,72 @@ def _loud_events(recording: Recording, above: Floats) -> list[Event]:
         noise /= 1 - 0.842 / math.sqrt(2 * length)
         highest = float(size.max())
         rest = int(np.argmax(size > TAP_LIMITS.max_rest_change * highest))
-        if len(size) < TAP_LIMITS.short_recording_s * rate_hz and rest >= 5:
-            # A short recording may ring to its end: its noise is at most twice that of the rest, which has few samples.
+        if rest >= (5 if len(size) < TAP_LIMITS.short_recording_s * rate_hz else length):
+            # A recording may ring to its end: its noise is at most twice that of the rest, which may have few samples.
             noise = min(noise, 2.0 * float(np.std(above[begin : begin + rest], ddof=1)))
         if not highest > TAP_LIMITS.min_peak_to_noise * noise:
             quiet.append("0" if highest == 0 else f"{highest / noise:.1f} times its noise")
             continue
         # Upper bound of the tail of the normal distribution.
         loud_noise = math.sqrt(2 * math.log(len(size) / 0.01))
-        loud = np.flatnonzero(size > max(loud_noise * noise, TAP_LIMITS.min_loud_level * highest))
-        # Events are separated by 20 ms without a loud sample.
-        for part in np.split(loud, np.flatnonzero(np.diff(loud) > TAP_LIMITS.min_quiet_s * rate_hz) + 1):
-            first, last = int(part[0]), int(part[-1])
-            found.append(Event(begin + first, begin + last, noise, float(size[first : last + 1].max())))
+        level = max(loud_noise * noise, TAP_LIMITS.min_loud_level * highest)
+        for first, last, rises in _separated(above[begin:end], level, rate_hz):
+            found.append(Event(begin + first, begin + last, noise, float(size[first : last + 1].max()), rises))
     if not found:
         raise FitError(
             f"{recording.name}: no onset: the largest acceleration is {quiet[0]}, must be at least "
             f"{TAP_LIMITS.min_peak_to_noise:g} times the noise"
         )
     return found
+
+
+def _separated(above: Floats, level: float, rate_hz: float) -> list[tuple[int, int, bool]]:
+    """Return first sample and last sample of each event that is louder than `level`, m/s^2, and Event.rises.
+
+    Events are separated by 20 ms without a loud sample, or a fifth of the first one's duration if that is longer: its
+    ringing falls below the level in noise, or between two peaks. Within an event, another tap rises abruptly.
+    """
+    loud = np.flatnonzero(np.abs(above) > level)
+    parts: list[list[int]] = []
+    for part in np.split(loud, np.flatnonzero(np.diff(loud) > TAP_LIMITS.min_quiet_s * rate_hz) + 1):
+        if parts and part[0] - parts[-1][1] <= TAP_LIMITS.max_pause * (parts[-1][1] - parts[-1][0]):
+            parts[-1][1] = int(part[-1])
+        else:
+            parts.append([int(part[0]), int(part[-1])])
+    found: list[tuple[int, int, bool]] = []
+    for first, last in parts:
+        here = loud[(loud >= first) & (loud <= last)]
+        edges = [first + rise for rise in _rises(above[first : last + 1], level, rate_hz)]
+        for piece in np.split(here, np.searchsorted(here, edges)):
+            if len(piece):
+                rises = piece[0] > first and piece[0] - found[-1][1] <= TAP_LIMITS.min_rest_samples
+                found.append((int(piece[0]), int(piece[-1]), bool(rises)))
+    return found
+
+
+def _rises(event: Floats, level: float, rate_hz: float) -> list[int]:
+    """Return the samples of an event (n,) at which its envelope rises abruptly, by more than `level`, m/s^2.
+
+    The envelope is the maximum over a period of the strongest frequency, so it falls during a ringing. Beating raises
+    it slowly. The maximum over 50 ms, or two periods, must rise as well: it falls even if several modes beat quickly.
+    """
+    from scipy.ndimage import maximum_filter1d
+
+    nearest = round(TAP_LIMITS.min_onset_distance_s * rate_hz)
+    if len(event) <= nearest:
+        return []
+    power = np.abs(np.fft.rfft(event))
+    period = math.ceil(len(event) / (1 + int(np.argmax(power[1:]))))
+    size = np.abs(event)
+    rising = np.arange(len(event)) >= nearest
+    for width in (period, max(2 * period, nearest)):
+        ahead = maximum_filter1d(size, width, origin=-(width // 2), mode="constant")
+        behind = np.concatenate((np.full(min(width, len(size)), math.inf), ahead[: max(0, len(size) - width)]))
+        rising &= (ahead > TAP_LIMITS.min_onset_rise * behind) & (ahead - behind > level)
+    places = np.flatnonzero(rising)
+    # The last sample of a run is on the steep front of the first half period.
+    ends = places[np.diff(places, append=len(event) + nearest) >= nearest]
+    return [int(end) - period // 4 for end in ends]
 
 
 def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
@@ -360,6 +429,10 @@ class TapHit:
         before = float(np.std(left[:onset]))
         return float(np.std(left[onset:end])) / before if before > 0 else math.inf
 
+    def remainder(self, time_s: float) -> float:
+        """Return the amplitude of the mode, m/s^2, at a time on the recording's clock."""
+        return abs(self.coefficient_m_per_s2) * math.exp(-self.decay_rate_per_s * (time_s - self.onset_s))
+
     def negated(self) -> TapHit:
         """Return the same tap with the sign of the acceleration reversed."""
         pair = None if self.pair is None else self.pair.negated()
@@ -390,7 +463,19 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
     refused: list[tuple[Event, Unusable]] = []
     for index, event in enumerate(events):
         try:
-            found.append(_hit_of(loud, index))
+            if found and not event.rises:
+                left = found[-1].remainder(event.first / recording.rate_hz)
+                if event.noise < left and event.peak <= left + TAP_LIMITS.min_peak_to_noise * event.noise:
+                    # Noise on the ringing of the tap before.
+                    continue
+            hit = _hit_of(loud, index)
+            left = found[-1].remainder(hit.onset_s) / abs(hit.coefficient_m_per_s2) if found else 0.0
+            if left > TAP_LIMITS.max_remainder:
+                raise Unusable(
+                    f"the tap at {found[-1].onset_s:.4g} s still rings with {100 * left:.0f} % of this tap's amplitude"
+                    f", at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: wait longer between taps"
+                )
+            found.append(hit)
         except Unusable as no:
             refused.append((event, no))
         shapeless = sum(no.fault == "shape" for _, no in refused)
@@ -1004,7 +1089,8 @@ def fit_tap(
     statistics.require_scipy()
     preparation.refuse_duplicates(recordings)
     excluded = Exclusions() if excluded is None else excluded
-    lines: list[str] = []
+    warnings = Warnings()
+    lines = warnings.lines
 
     def hits_in(recording: Recording) -> list[TapHit]:
         found = hits_of(recording, lines, excluded)
@@ -1018,7 +1104,7 @@ def fit_tap(
             f"{len(hits)} taps are too few: needs {SPEED_LAW_LIMITS.min_taps}, better ten, at different speeds"
         )
     taps = _of_one_sign(hits, lines, excluded)
-    lines = excluded.lines() + lines
+    excluded.report(len(taps), "taps", warnings)
     speed_law.check_speeds(taps)
     figures = Figures.of(taps)
     speeds, squares = figures.speeds, figures.speeds**2
@@ -1038,15 +1124,13 @@ def fit_tap(
         chosen = speed_law.law_of(speeds, *figures.amplitude, "line", "a single tap is off the line of the others")
     if second is None:
         second = second_mode(taps, explained, chosen.kind)
-    warnings = Warnings()
-    _check_recordings(warnings, recordings, taps, frequency)
+    _check_recordings(warnings, recordings, taps, frequency, excluded)
     _check_mode(warnings, taps, second, explained, lines)
     modes = _modes_over_speed(warnings, figures, frequency, decay_time, mode_table)
     if outlier:
         warnings.add(False, outlier, "is its speed right?")
     else:
         speed_law.check_law(warnings, chosen)
-    excluded.report_taps(len(taps), warnings)
     explains = "two modes explain" if second is not None and second.kept else "one mode explains"
     return TapFit(
         taps=tuple(taps),
@@ -1063,7 +1147,7 @@ def fit_tap(
         law=chosen,
         power=chosen.power if chosen.kind == "power" else None,
         second=second,
-        warnings=tuple(lines + warnings.lines),
+        warnings=tuple(warnings.lines),
         judged=warnings.verdict(
             f"{explains} {100 * explained:.1f} % of {len(taps)} taps",
             f"A(v) is {chosen.named} (r^2 {chosen.r_squared:.3f})",
@@ -1100,12 +1184,11 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
             "a hand's motion, not a tap"
         )
     longest_s = max(len(tap.measured) / tap.rate_hz for tap in taps)
-    # The fitted section has seven decay times, unless the recording or the next tap ends it.
     max_s = TAP_LIMITS.max_decay_time * longest_s
     if decay_time_s > max_s:
         raise FitError(
-            f"the ringing does not decay: its decay time is {decay_time_s:.3g} s, must be at most {max_s:.3g} s if "
-            f"{longest_s:.3g} s are fitted"
+            f"the ringing does not decay enough before the recording or the next tap ends it: its decay time is "
+            f"{decay_time_s:.3g} s, must be at most {max_s:.3g} s if {longest_s:.3g} s are fitted"
         )
 
 
@@ -1113,7 +1196,11 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
 
 
 def _check_recordings(
-    warnings: Warnings, recordings: Sequence[Recording], taps: Sequence[TapHit], frequency: Estimate
+    warnings: Warnings,
+    recordings: Sequence[Recording],
+    taps: Sequence[TapHit],
+    frequency: Estimate,
+    excluded: Exclusions,
 ) -> None:
     """Downgrade the verdict for hum in the residuals, and for a low sampling rate."""
     of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
@@ -1122,6 +1209,12 @@ def _check_recordings(
         seen = recording.acceleration_m_per_s2
         assert seen is not None
         model = np.full(len(seen), np.median(seen))
+        for each in excluded.items:
+            if each.recording == recording.name and each.time_s is not None:
+                # The ringing of a tap that was left out is not a hum.
+                end_s = each.time_s + TAP_LIMITS.fit_decay_times / min(tap.decay_rate_per_s for tap in taps)
+                here = slice(round(each.time_s * recording.rate_hz), math.ceil(end_s * recording.rate_hz))
+                model[here] = seen[here]
         for tap in taps:
             if tap.recording == recording.name:
                 begin = round(tap.begin_s * tap.rate_hz)
@@ -1138,6 +1231,7 @@ def _check_mode(
     warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, lines: list[str]
 ) -> None:
     """Downgrade the verdict if the modes do not explain the taps; one mode explains the fraction `explained`."""
+    noisy = float(np.median([tap.residual_to_noise for tap in taps]))
     if second is not None:
         together = 100 * second.variance_accounted_for
         lines.append(
@@ -1148,7 +1242,7 @@ def _check_mode(
         poor = second.variance_accounted_for < TAP_LIMITS.well_explained
         if poor or not second.kept:
             warnings.add(poor, f"two explain {together:.1f} %")
-    elif explained < TAP_LIMITS.well_explained:
+    elif explained < TAP_LIMITS.well_explained and noisy > TAP_LIMITS.max_residual_to_noise:
         warnings.add(True, "the residuals are not noise")
     else:
         warnings.add(False, _lack_of_fit(taps), "the errors of the figures may be larger than their intervals")

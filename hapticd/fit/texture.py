@@ -641,17 +641,28 @@ def fit_texture(
     sections = preparation.sections_of(recordings, TEXTURE_LIMITS.block_s, excluded)
     while True:
         try:
-            return _fitted(sections, usual_hz, autoregressive, excluded)
+            return _fitted(recordings, sections, usual_hz, autoregressive, excluded)
         except _TwoTextures as two:
             excluded.add(two.name, str(two))
             left_out = {each.recording for each in excluded.items}
             sections = [recording for recording in sections if recording.name not in left_out]
 
 
-def _fitted(sections: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
-    """Fit a texture to these sections of strokes; raise _TwoTextures if a section has more than one texture."""
+def _fitted(
+    given: Sequence[Recording],
+    sections: Sequence[Recording],
+    rate_hz: float,
+    autoregressive: bool,
+    excluded: Exclusions,
+) -> TextureFit:
+    """Fit a texture to these sections of strokes; raise _TwoTextures if a section has more than one texture.
+
+    `given` are the recordings that were cut into the sections.
+    """
     warnings = Warnings()
-    blocks = _Blocks.of(_cut(sections, rate_hz, excluded, warnings), excluded)
+    cut = _cut(sections, rate_hz, excluded, warnings)
+    excluded.report_recordings(given, warnings)
+    blocks = _Blocks.of(cut, excluded)
     recordings = [each.recording for each in blocks.strokes]
     preparation.report_gravity(recordings, warnings)
     report_lines(blocks.strokes, lambda each, needed: spectral_lines(each.acceleration, rate_hz, needed), warnings)
@@ -730,7 +741,6 @@ def _cut(sections: Sequence[Recording], rate_hz: float, excluded: Exclusions, wa
     if not found:
         raise excluded.refused("none of the recordings can be used")
     preparation.report_cleaning([each.stroke for each in found], warnings)
-    excluded.report([each.stroke.recording for each in found], warnings)
     dropped = sum(each.lost for each in found)
     lost = dropped / (dropped + sum(len(each.density) for each in found))
     warnings.check("part left out", lost, left=f"{100 * lost:.0f} % of the strokes are left out")

@@ -212,6 +212,8 @@ class Exclusion:
     """COMPLETE_RECORDING, ONE_PART, or the kind of the event: `tap`."""
     time_s: float | None = None
     """Time of the event after the first sample, in s."""
+    fraction: float = 1.0
+    """Fraction of the recording that a part is; 1 for a complete recording and for an event."""
 
     def __str__(self) -> str:
         if self.what == COMPLETE_RECORDING:
@@ -232,11 +234,20 @@ class Exclusions:
         self.items: list[Exclusion] = []
         self.unused: set[str] = set()
         """Names of recordings without a used event."""
+        self._count = ""
+        """Number of recordings or events that are left out, in words, once `report` has counted them."""
         self._strict = strict
 
-    def add(self, recording: str, reason: str, what: str = COMPLETE_RECORDING, time_s: float | None = None) -> None:
+    def add(
+        self,
+        recording: str,
+        reason: str,
+        what: str = COMPLETE_RECORDING,
+        time_s: float | None = None,
+        fraction: float = 1.0,
+    ) -> None:
         """Add the exclusion of `what`, by default the complete recording; raise StrictError if strict."""
-        exclusion = Exclusion(recording, reason.removeprefix(f"{recording}: "), what, time_s)
+        exclusion = Exclusion(recording, reason.removeprefix(f"{recording}: "), what, time_s, fraction)
         if self._strict:
             raise StrictError(f"{exclusion}; --strict forbids exclusions")
         self.items.append(exclusion)
@@ -250,8 +261,9 @@ class Exclusions:
     def merge(self, other: Exclusions) -> None:
         """Add the exclusions that `other`, a copy of this object, has collected since it was made."""
         for each in other.items[len(self.items) :]:
-            self.add(each.recording, each.reason, each.what, each.time_s)
+            self.add(each.recording, each.reason, each.what, each.time_s, each.fraction)
         self.unused |= other.unused
+        self._count = other._count
 
     def each(self, recordings: Iterable[Recording], fitted: Callable[[Recording], _T]) -> list[_T]:
         """Return `fitted(recording)` of each recording; leave out recordings for which `fitted` raises FitError.
@@ -281,25 +293,37 @@ class Exclusions:
         complete = [each for each in self.items if each.what == COMPLETE_RECORDING]
         if len(self.items) == len(complete) == 1:
             return FitError(f"{complete[0].recording}: {complete[0].reason}")
-        if not self.items:
-            return FitError(few)
+        return FitError(f"{few} ({self._first_lines()})" if self.items else few)
+
+    def explained(self, error: FitError) -> FitError:
+        """Return the error of a fit, with what was left out before it, unless the error names that already."""
+        if not self.items or any(each.reason in str(error) for each in self.items):
+            return error
+        count = self._count or f"{len(self.items)} recordings or events are left out"
+        return FitError(f"{error}; {count}: {self._first_lines()}")
+
+    def _first_lines(self) -> str:
         more = f"; and {len(self.items) - 3} more" if len(self.items) > 3 else ""
-        return FitError(f"{few} ({'; '.join(self.lines()[:3])}{more})")
+        return f"{'; '.join(self.lines()[:3])}{more}"
 
     def lines(self) -> list[str]:
         """Return one line of text for each exclusion."""
         return [str(each) for each in self.items]
 
-    def report(self, recordings: Sequence[Recording], warnings: Warnings) -> None:
-        """Insert the exclusions before all other warnings; downgrade the verdict if many recordings are left out."""
-        warnings.lines[:0] = self.lines()
-        unused, every = self.recordings, {recording.name for recording in recordings} | self.recordings
-        count = max(len(every), len(recordings))
-        left = f"{len(unused)} of {count} recordings are left out"
-        warnings.check("part left out", len(unused) / count, left=left)
+    def report_recordings(self, recordings: Sequence[Recording], warnings: Warnings) -> None:
+        """Report the exclusions of a fit whose events are not counted; `recordings` are those that were given to it."""
+        self.report(sum(each.name not in self.recordings for each in recordings), "recordings", warnings)
 
-    def report_taps(self, used: int, warnings: Warnings) -> None:
-        """Downgrade the verdict if more taps are left out than used."""
-        taps = sum(each.what == "tap" for each in self.items)
-        if taps > used:
-            warnings.add(False, f"{taps} of {taps + used} taps are left out")
+    def report(self, used: int, events: str, warnings: Warnings) -> None:
+        """Insert the exclusions before all other warnings; downgrade the verdict if much is left out.
+
+        `used` events remain, named `events`. A complete recording counts as one event.
+        """
+        warnings.lines[:0] = self.lines()
+        complete = sum(each.what != ONE_PART for each in self.items)
+        parts = sum(each.fraction for each in self.items if each.what == ONE_PART)
+        count = used + complete
+        self._count = f"{complete} of {count} {events} are left out"
+        if parts:
+            self._count += f", and parts as long as {parts:.2g} of the others"
+        warnings.check("part left out", (complete + parts) / max(1, count), left=self._count)

@@ -48,6 +48,8 @@ class Pulse:
     rate_hz: float
     measured: Floats
     """(n,) acceleration, m/s^2."""
+    lasts_s: float
+    """Time from the first loud sample to the last, which may be after those of `measured`."""
 
     def until(self, end_s: float) -> Pulse:
         """Return the pulse without the samples later than `end_s` after its first sample."""
@@ -70,6 +72,15 @@ class Pulse:
         first = max(1, math.floor(self.onset_s * self.rate_hz))
         return float(np.median(self.measured[:first]))
 
+    @property
+    def rings_on(self) -> bool:
+        """Whether the pulse changes its sign at least twice and is loud to the end of `measured`."""
+        above = self.measured - self.rest
+        strong = above[np.abs(above) > WAVEFORM_LIMITS.alignment_level * np.abs(above).max()]
+        turns = int(np.count_nonzero(np.diff(np.sign(strong))))
+        to_the_end = self.lasts_s > 0.9 * (len(self.measured) / self.rate_hz - self.onset_s)
+        return to_the_end and turns >= WAVEFORM_LIMITS.min_ringing_turns
+
     def crossing_s(self) -> float:
         """Return the time, s after the first sample, at which the pulse rises above alignment_level times its peak."""
         size = np.abs(self.measured - self.rest)
@@ -80,6 +91,11 @@ class Pulse:
         before = int(below[-1])
         low, high = float(size[before]), float(size[before + 1])
         return (before + (level - low) / (high - low)) / self.rate_hz
+
+
+def ring_on(pulses: Sequence[Pulse]) -> bool:
+    """Return whether most of these pulses ring on after a waveform ends."""
+    return 2 * sum(pulse.rings_on for pulse in pulses) > len(pulses)
 
 
 def pulses_of(recordings: Sequence[Recording], lines: list[str], excluded: Exclusions) -> list[Pulse]:
@@ -102,13 +118,15 @@ def pulses_of(recordings: Sequence[Recording], lines: list[str], excluded: Exclu
 
 def _pulse(loud: Events, index: int) -> Pulse:
     """Return the pulse of an event, with up to 20 ms of rest before the onset; raise Unusable if it cannot be used."""
-    first, (before, after) = loud.events[index].first, loud.section(index)
+    event, (before, after) = loud.events[index], loud.section(index)
+    first = event.first
     name, rate_hz = loud.recording.name, loud.recording.rate_hz
     begin = max(before, first - max(TAP_LIMITS.min_rest_samples, round(0.02 * rate_hz)))
     end = min(after, first + round(MAX_WAVEFORM_LENGTH_S * rate_hz))
     loud.check(begin, end)
     speed = loud.speed(index, first / rate_hz)
-    return Pulse(name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, loud.acceleration[begin:end])
+    measured, lasts_s = loud.acceleration[begin:end], (event.last - first) / rate_hz
+    return Pulse(name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, measured, lasts_s)
 
 
 # ---- Model: the common shape of the pulses ---------------------------------------------------------------------------
@@ -497,10 +515,11 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     line) if the pulses do not support a fit.
     """
     pulses, shape, faded, explained = _alike(pulses, earlier, excluded)
-    lines = [*excluded.lines(), *earlier]
+    warnings = Warnings([*earlier])
+    excluded.report(len(pulses), "taps", warnings)
     peaks = np.array([each.amplitude for each in shape.fitted])
     if float(np.median(peaks)) < 0:
-        lines.append("the taps push downwards: the sign of the acceleration is reversed")
+        warnings.note("the taps push downwards: the sign of the acceleration is reversed")
         peaks = -peaks
     curve, (halves, of_amplitudes) = shape.curve, _uncertain(shape, faded)
     hits = tuple(
@@ -525,15 +544,13 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
     resolved = min(pulse.rate_hz for pulse in pulses) / curve.middle_hz
     law = speed_law.law_of(speeds, peaks, variances)
     speed_law.check_rises(law, len(pulses))
-    warnings = Warnings()
     warnings.check("variance that a waveform explains", fraction)
-    if faded:
-        reason = f"the pulses have not ended after {1e3 * curve.length_s:.3g} ms"
+    if faded or ring_on(pulses):
         percent = 100 * WAVEFORM_LIMITS.fade_out_fraction
-        warnings.add(False, reason, f"the waveform is faded out over its last {percent:.0f} %")
+        fade = f"the waveform is faded out over its last {percent:.0f} %" if faded else "--as mode fits a ringing"
+        warnings.add(False, f"the pulses have not ended after {1e3 * curve.length_s:.3g} ms", fade)
     warnings.check("samples in a period of a waveform", resolved)
     speed_law.check_law(warnings, law)
-    excluded.report_taps(len(hits), warnings)
     speed_law.check_hardness(speeds, peaks, 2.0 * math.pi * curve.middle_hz, "the angular frequency of the pulses")
     points = () if law.kind == "line" else law.points
     return WaveformFit(
@@ -548,7 +565,7 @@ def fit_waveform(pulses: Sequence[Pulse], earlier: Sequence[str], excluded: Excl
         samples_a_period=resolved,
         r_squared=line.r_squared,
         variance_accounted_for=fraction,
-        warnings=tuple(lines + warnings.lines),
+        warnings=tuple(warnings.lines),
         judged=warnings.verdict(
             f"a waveform explains {100 * fraction:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {law.r_squared:.3f})",

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.recordings.clipping import clipped
-from hapticd.analysis.statistics import FitError
+from hapticd.analysis.statistics import FitError, Floats
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.fit.grooves import fit_grooves
@@ -21,7 +21,7 @@ from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import fit_tap
 from hapticd.fit.texture import fit_texture
-from hapticd.fit.verdict import Exclusions
+from hapticd.fit.verdict import ONE_PART, Exclusions, Warnings
 from tests.fit.test_refusals import GOOD, RATE_HZ, SEEN, TIME, Columns, puncture, ringing, written
 from tests.support.cli import said
 from tests.support.marks import rest_slow
@@ -197,7 +197,7 @@ def test_few_samples_in_a_cycle_are_enough_where_the_onset_is_known() -> None:
     assert fit.slope_per_s.value == pytest.approx(400, rel=0.03)
     assert fit.frequency_hz.value == pytest.approx(300, rel=0.003)
     assert fit.decay_time_s.value == pytest.approx(0.01, rel=0.03)
-    assert any("2.2 samples in a cycle" in warning for warning in fit.warnings) and fit.verdict.startswith("fair")
+    assert any("2.2 samples in a cycle" in warning for warning in fit.warnings) and fit.judged.quality != "good"
 
 
 def test_too_little_rest_is_reported_with_the_required_rest() -> None:
@@ -217,9 +217,66 @@ def test_taps_that_are_left_out_weigh_on_the_verdict() -> None:
     )
     fit = fit_tap([low])
     assert len(fit.left_out) > len(fit.taps) >= 3
-    assert f"{len(fit.left_out)} of 8 taps are left out" in fit.verdict and fit.verdict.startswith("fair")
+    assert fit.judged.quality == "poor" and f"{len(fit.left_out)} of 8 taps are left out" in fit.judged.reasons
     with pytest.raises(FitError, match="--strict forbids exclusions"):
         fit_tap([low], excluded=Exclusions(strict=True))
+
+
+@pytest.mark.long
+def test_five_of_twelve_taps_that_are_left_out_make_a_fit_of_the_others_poor() -> None:
+    """The others begin downwards, and their sign is reversed; the five are clipped, or whole files are silent."""
+    low, high = (0.1, 0.11, 0.12, 0.13, 0.14, 0.15, 0.16), (0.25, 0.3, 0.35, 0.4, 0.28)
+    one = taps_of([*low, *high])
+    assert one.acceleration_m_per_s2 is not None
+    turned = np.maximum(19.6 - one.acceleration_m_per_s2, 9.8 - 400 * 0.17)
+    files = [of(one_tap(speed, seed), f"t{seed}") for seed, speed in enumerate(low)]
+    files = [dataclasses.replace(each, acceleration_m_per_s2=-samples_of(each)) for each in files]
+    files += [of(silent(one_tap(speed, seed)), f"s{seed}") for seed, speed in enumerate(high)]
+    for recordings in ([dataclasses.replace(one, acceleration_m_per_s2=turned)], files):
+        fit = fit_tap(recordings)
+        assert len(fit.taps) == 7 and fit.slope_per_s.value == pytest.approx(400, rel=0.05)
+        assert fit.judged.quality == "poor" and "5 of 12 taps are left out" in fit.judged.reasons
+        assert any("the sign of the acceleration is reversed" in warning for warning in fit.warnings)
+
+
+def samples_of(recording: Recording) -> Floats:
+    assert recording.acceleration_m_per_s2 is not None
+    return recording.acceleration_m_per_s2
+
+
+@pytest.mark.long
+def test_a_refusal_names_what_was_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two of six files are silent; the other taps have one speed."""
+    columns = [one_tap(0.2, seed) for seed in range(4)] + [silent(one_tap(0.2, 4, rest=rest)) for rest in (100, 200)]
+    line = said(capsys, 1, "fit", "tap", *written(tmp_path, columns), "-o", str(tmp_path / "found.yaml"))
+    assert "speed" in line
+    assert "2 of 6 taps are left out: " in line and line.count("no onset") == 2
+
+
+@pytest.mark.parametrize(
+    ("left_out", "parts", "quality", "reason"),
+    [
+        (1, [], "good", None),
+        (2, [], "fair", "2 of 12 recordings are left out"),
+        (5, [], "poor", "5 of 12 recordings are left out"),
+        (0, [0.4, 0.4], "good", None),
+        (0, [0.4, 0.4, 0.5], "fair", "0 of 12 recordings are left out, and parts as long as 1.3 of the others"),
+        (3, [0.4, 0.4], "poor", "3 of 12 recordings are left out, and parts as long as 0.8 of the others"),
+    ],
+)
+def test_recordings_and_parts_that_are_left_out_weigh_alike(
+    left_out: int, parts: list[float], quality: str, reason: str | None
+) -> None:
+    recordings = [of(one_tap(0.2, seed), f"t{seed}") for seed in range(12)]
+    excluded, warnings = Exclusions(), Warnings()
+    for place in range(left_out):
+        excluded.add(f"t{place}", "clipped")
+    for place, fraction in enumerate(parts):
+        excluded.add(f"t{6 + place}", "clipped", ONE_PART, fraction=fraction)
+    excluded.report_recordings(recordings, warnings)
+    judged = warnings.verdict("so much")
+    assert judged.quality == quality and judged.reasons == (() if reason is None else (reason,))
+    assert len(warnings.lines) == left_out + len(parts)
 
 
 # ---- Parts ----------------------------------------------------------------------------------------------------------
@@ -257,6 +314,7 @@ def test_complete_sections_are_between_gaps_and_clipped_samples() -> None:
     assert lengths == [3000, 2996, 3790]
     assert parts[1].force_n is not None and parts[1].force_n[0] == 3004.0
     (exclusion,) = excluded.items
+    assert exclusion.fraction == pytest.approx(0.0214)
     assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in exclusion.reason
     assert "0.214 of 10 s" in exclusion.reason
     with pytest.raises(FitError, match=r"0 % of the samples are in complete sections of 5 s, 50 % are needed"):
