@@ -85,7 +85,8 @@ class HandleUse:
         force_n = math.hypot(*last["contact_force_n"])
         if rests and self._still_s > 0.0 and flags & Flag.CONTACT and force_n >= _MIN_REST_FORCE_N:
             self._rest_line = self._rest_line or self._rest_warning(touching(), force_n)
-        ranges = (self._range_warning(name, place) for place, name in enumerate("xy"))
+        # An axis without a force, such as a pedal, is not used as a handle is.
+        ranges = (self._range_warning(name, place) for place, name in enumerate("xy") if plan.driven_axes[place])
         self.lines = tuple(line for line in (self._rest_line, *ranges) if line is not None)
 
     def _weigh_rest(self, passed_s: float, tolerance_m: float) -> None:
@@ -128,7 +129,7 @@ class HandleUse:
         assert self._axes is not None
         axis, travel_m = self._axes[place], self._hid.travel_m
         low_m, high_m = float(self._low_m[place]), float(self._high_m[place])
-        if self._hid.report is not None or axis.is_still or not low_m < high_m:
+        if self._hid.report is not None or high_m - low_m <= _END_SHARE * travel_m:
             return None
         key = f"device.hid.axes.{name}.counts"
         low, high = axis.range_counts(low_m, high_m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from hapticd.hid.handle_use import HandleUse
 from hapticd.hid.plan import Plan
 from hapticd.hid.verdict import verdict_of
 from tests.hid.test_vendor import DESCRIPTOR, REPORT
+from tests.support.firmware_descriptors import OPENFFBOARD_1
 from tests.support.hid_descriptors import Joystick
 
 STICK = bytes(Joystick(axis_range=(-512, 511), axis_bits=10))
@@ -26,9 +28,9 @@ STEP_S = 0.05
 class Stick:
     """A handle whose counts a test gives; the warnings about it. Until something else is said, nothing is touched."""
 
-    def __init__(self, *, from_file: bool = False, **hid: Any) -> None:
+    def __init__(self, *, from_file: bool = False, desc: bytes = STICK, **hid: Any) -> None:
         self.hid = Hid.model_validate({"travel_m": TRAVEL_M, **hid})
-        plan = verdict_of(self.hid, STICK if self.hid.report is None else DESCRIPTOR).plan
+        plan = verdict_of(self.hid, desc if self.hid.report is None else DESCRIPTOR).plan
         assert plan is not None
         self.plan: Plan = plan
         self.use = HandleUse(self.hid, from_file=from_file)
@@ -202,3 +204,16 @@ def test_a_device_with_vendor_reports_has_its_own_scale() -> None:
     stick.inside("floor")
     stick.at(0, 10, 20)
     assert "zero_counts of device.hid.report.input" in stick.use.lines[0]
+
+
+def test_the_pedal_of_a_wheel_has_no_range_to_warn_of() -> None:
+    stick = Stick(desc=OPENFFBOARD_1)
+    stick.along([(32767 * math.sin(i), 32740 + i % 27) for i in range(round(62 / STEP_S))])
+    assert stick.use.lines == ()
+
+
+def test_an_axis_along_which_nobody_moves_is_not_reported() -> None:
+    stick = Stick()
+    stick.sweep(-512, 511, 62)  # x is 0, then 1
+    stick.at(1, 0, 1)
+    assert stick.use.lines == ()
