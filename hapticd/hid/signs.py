@@ -190,7 +190,7 @@ class SignsLog:
             return
         self._last = status
         if line is None:
-            text = "signs of the device checked: forces move the handle the right way"
+            text = "the signs of the device are right: forces are displayed"
             self._repeats.line("right", logging.INFO, text)
         elif status.problem == SignsProblem.IDLE:
             self._repeats.line("idle", logging.WARNING, f"forces are held back: {line}", MAX_STATE_INTERVAL_S)

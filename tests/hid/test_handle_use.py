@@ -89,7 +89,10 @@ def test_a_rest_in_short_pieces() -> None:
         stick.inside("floor")
         stick.at(0, 20, 0.5)
     (line,) = stick.use.lines
-    assert "set the middle of device.hid.axes.x.counts and y.counts to 0 and 20, or move the object" in line
+    assert (
+        "set the middle of device.hid.axes.x.counts to 0 and of device.hid.axes.y.counts to 20, or move the object"
+        in line
+    )
     assert "devices calibrate" not in line
 
 
@@ -204,6 +207,23 @@ def test_a_device_with_vendor_reports_has_its_own_scale() -> None:
     stick.inside("floor")
     stick.at(0, 10, 20)
     assert "zero_counts of device.hid.report.input" in stick.use.lines[0]
+
+
+@pytest.mark.parametrize(
+    "desc", [OPENFFBOARD_1, bytes(Joystick(axes=(0x30,), force_axes=(0x30,)))], ids=["pedal", "none"]
+)
+@pytest.mark.parametrize(
+    ("x", "remedy"),
+    [
+        ({}, "set the middle of device.hid.axes.x.counts to 5000, or move the object"),
+        ({"counts": [-30000, 4000, 30000]}, "move the object"),
+    ],
+)
+def test_the_rest_of_a_wheel_concerns_x_alone(desc: bytes, x: dict[str, Any], remedy: str) -> None:
+    wheel = Stick(desc=desc, from_file=True, axes={"x": x})
+    wheel.inside("block")
+    wheel.at(5000, 0, 6)
+    assert wheel.use.lines[0].endswith(f"if nobody holds it, {remedy}")
 
 
 def test_the_pedal_of_a_wheel_has_no_range_to_warn_of() -> None:
