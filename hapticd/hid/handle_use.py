@@ -31,6 +31,8 @@ _STILL_SHARE: Final = 0.002
 """A handle is still while it moves by no more than this fraction of its half travel."""
 _STILL_COUNTS: Final = 2.0
 """A handle is also still while it moves by no more than this number of counts."""
+_MOVED_SHARE: Final = 0.02
+"""An axis is moved if its positions differ by more than this fraction of the half travel."""
 _MIN_REST_FORCE_N: Final = 0.1
 """A smaller force on a resting handle is not reported."""
 _END_SHARE: Final = 0.1
@@ -129,7 +131,7 @@ class HandleUse:
         assert self._axes is not None
         axis, travel_m = self._axes[place], self._hid.travel_m
         low_m, high_m = float(self._low_m[place]), float(self._high_m[place])
-        if self._hid.report is not None or high_m - low_m <= _END_SHARE * travel_m:
+        if self._hid.report is not None or high_m - low_m <= _MOVED_SHARE * travel_m:
             return None
         key = f"device.hid.axes.{name}.counts"
         low, high = axis.range_counts(low_m, high_m)

@@ -232,6 +232,13 @@ def test_the_pedal_of_a_wheel_has_no_range_to_warn_of() -> None:
     assert stick.use.lines == ()
 
 
+def test_ten_bits_in_a_range_of_sixteen_are_reported() -> None:
+    """Firmware that sends what its converter gives, 0 to 1023."""
+    stick = Stick(desc=bytes(Joystick(axis_range=(0, 65535))))
+    stick.sweep(0, 1023, 62)
+    assert len(stick.use.lines) == 1 and " of 0..65535 in a minute's use" in stick.use.lines[0]
+
+
 def test_an_axis_along_which_nobody_moves_is_not_reported() -> None:
     stick = Stick()
     stick.sweep(-512, 511, 62)  # x is 0, then 1
