@@ -123,7 +123,7 @@ class HandleUse:
             f"the handle rests at x {x_mm:.1f} mm, y {y_mm:.1f} mm, inside {', '.join(objects)}, which pushes it with "
             f"{force_n:.2g} N: if nobody holds it, {remedy}"
         )
-        self._log_once(f"rest in {objects}", line)
+        self._log_once("rest", line)
         return line
 
     def _range_warning(self, name: str, place: int) -> str | None:

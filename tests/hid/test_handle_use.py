@@ -133,6 +133,7 @@ def test_another_scene_ends_the_warning_unless_it_pushes_too(caplog: pytest.LogC
     stick.inside("block")
     stick.at(0, 20, 1)
     assert "inside block" in stick.use.lines[0]
+    assert len(caplog.messages) == 1, "a program that makes new objects again and again does not fill the log"
 
 
 def test_calibrated_counts_leave_only_the_object() -> None:
