@@ -40,7 +40,7 @@ HD_RT static void wait_for(struct hd_signs *signs, uint32_t problem) {
 HD_RT static void begin_axis(struct hd_signs *signs, uint32_t axis) {
     signs->axis = axis;
     signs->round = 0;
-    signs->wrong = HD_SIGNS_FINE;
+    signs->previous = HD_SIGNS_STILL;
     signs->state = HD_SIGNS_CHECKING;
     signs->problem = HD_SIGNS_FINE;
     restart_round(signs);
@@ -83,8 +83,11 @@ HD_RT static uint32_t round_problem(const struct hd_signs *signs) {
 
 HD_RT static void evaluate_round(struct hd_signs *signs) {
     const uint32_t problem = round_problem(signs);
+    const uint32_t previous = signs->previous;
+    const int is_clear = problem != HD_SIGNS_STILL && problem != HD_SIGNS_UNCERTAIN;
+    signs->previous = problem;
     if (signs->idle != 0) {
-        if (problem == HD_SIGNS_STILL || problem == HD_SIGNS_UNCERTAIN) {
+        if (!is_clear || problem != previous) {
             restart_round(signs);
             return;
         }
@@ -103,18 +106,14 @@ HD_RT static void evaluate_round(struct hd_signs *signs) {
         return;
     }
     signs->problem = problem;
-    if (problem == HD_SIGNS_REVERSED || problem == HD_SIGNS_SWAPPED) {
-        /* Requires the same result twice, because the check is not repeated afterwards. */
-        if (signs->wrong == problem) {
-            signs->state = HD_SIGNS_WRONG;
-            return;
-        }
-        signs->wrong = problem;
-    } else {
-        signs->wrong = HD_SIGNS_FINE;
+    /* Requires the same result twice, because the check is not repeated afterwards. */
+    if (is_clear && problem == previous) {
+        signs->state = HD_SIGNS_WRONG;
+        return;
     }
     if (++signs->round >= HD_MAX_ROUNDS) {
         signs->state = HD_SIGNS_UNCLEAR;
+        signs->ignored = 0; /* a hand may have moved the handle, not the pulses */
         return;
     }
     restart_round(signs);

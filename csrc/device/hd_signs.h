@@ -9,9 +9,10 @@
  * handle moves.
  *
  * While the device reports that it exerts no force (PID State: safety switch open, no power, ...), the check waits: a
- * round of pulses that move nothing does not count, and a change of the report restarts the axis. If the pulses move
- * the handle nevertheless, the report is wrong; it is ignored from then on, because some firmware never sets these
- * bits. After the check, the scene is held back while the device reports that it exerts no force, and fades in again.
+ * round of pulses that move nothing does not count, and a change of the report restarts the axis. If two successive
+ * rounds move the handle nevertheless, with the same result, the report is wrong; it is ignored until a check ends
+ * without a result, because some firmware never sets these bits. After the check, the scene is held back while the
+ * device reports that it exerts no force, and fades in again.
  *
  * The check is part of the servo, before the tick: its output in struct hd_input holds the scene back and sets the
  * force instead. Servo thread. SI units. */
@@ -41,7 +42,7 @@ struct hd_signs {
     uint32_t phase;         /* enum hd_signs_phase */
     uint32_t round;         /* rounds of this axis without a decision */
     uint32_t pulse;         /* 0 to 3 */
-    uint32_t wrong;         /* problem that the previous round found for this axis; 0: no problem */
+    uint32_t previous;      /* result of the previous round of this axis, enum hd_signs_problem */
     uint32_t passed;        /* 1: the signs were found right */
     uint32_t idle;          /* reasons why the device exerts no force, as in struct hd_signs_input, without `ignored` */
     uint32_t ignored;       /* reported reasons that a motion of the handle proved wrong */

@@ -310,6 +310,7 @@ def force_command(state: str, as_json: bool) -> None:
 
     Turning forces on clears a latched fault whose cause is gone.
     """
+    from hapticd.hid.device_texts import LET_GO
     from hapticd.protocol.calls import RemoteError
     from hapticd.protocol.messages import Code
 
@@ -326,9 +327,7 @@ def force_command(state: str, as_json: bool) -> None:
             raise RemoteError(error.code, f"{why}, and the cause persists", error.data) from None
     if "signs" in result:
         advice = result["signs"]["advice"]
-        state_text = (
-            f"on, but held back: {advice}" if advice else "on, once the check of signs has passed: let go of the handle"
-        )
+        state_text = f"on, but held back: {advice}" if advice else f"on, once the check of signs has passed: {LET_GO}"
     elif result["forces"] == "faulted":
         state_text = "off: a fault is latched; see `hapticd status`"
     else:

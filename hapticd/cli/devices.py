@@ -200,8 +200,9 @@ def calibrate_command(
 ) -> None:
     """Measure in which direction a device pushes, and the range of its handle; print the section device.hid.
 
-    First the handle is pushed gently along each axis, in both directions; nobody may hold it. Then move it to all
-    corners, and let go: the measurement ends once the handle is still. Ctrl-C leaves out the range.
+    First the handle is pushed gently along each axis, in both directions: let go of it, or hold it lightly and still if
+    it has a hand sensor. Then move it to all corners, and let go: the measurement ends once the handle is still. Ctrl-C
+    leaves out the range.
     """
     from hapticd.config.configuration import config_of
     from hapticd.config.hid import ForceAxes

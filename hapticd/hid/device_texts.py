@@ -1,6 +1,10 @@
-"""Texts for users about device effects, and about devices that do not report resets."""
+"""Texts for users about device effects, about devices that do not report resets, and about the check of signs."""
 
 from collections.abc import Mapping
+from typing import Final
+
+LET_GO: Final = "let go of the handle, or hold it lightly and still if it has a hand sensor"
+"""What the user should do while the signs of a device are checked."""
 
 
 def offload_text(outcome: Mapping[str, object]) -> str:

@@ -31,6 +31,8 @@ _STILL_SHARE: Final = 0.002
 """A handle is still while it moves by no more than this fraction of its half travel."""
 _STILL_COUNTS: Final = 2.0
 """A handle is also still while it moves by no more than this number of counts."""
+_MOVED_SHARE: Final = 0.02
+"""An axis is moved if its positions differ by more than this fraction of the half travel."""
 _MIN_REST_FORCE_N: Final = 0.1
 """A smaller force on a resting handle is not reported."""
 _END_SHARE: Final = 0.1
@@ -53,6 +55,7 @@ class HandleUse:
 
     def _restart(self, axes: tuple[AxisPlan, AxisPlan] | None) -> None:
         self._axes = axes
+        self._driven = (False, False)  # an axis without a force, such as a pedal, is not used as a handle is
         self._low_m, self._high_m = np.full(2, np.inf), np.full(2, -np.inf)
         self._time_ns: int | None = None
         self._anchor_m = self._rest_m = np.full(2, np.nan)
@@ -64,6 +67,7 @@ class HandleUse:
         """Take the positions of consecutive samples. `touching` returns the ids of the objects touched at the last."""
         if self._axes != (plan.x, plan.y):
             self._restart((plan.x, plan.y))
+        self._driven = plan.driven_axes
         last = samples[-1]
         now_ns, flags = int(last["time_ns"]), int(last["flags"])
         passed_s = 0.0 if self._time_ns is None else 1e-9 * (now_ns - self._time_ns)
@@ -85,7 +89,7 @@ class HandleUse:
         force_n = math.hypot(*last["contact_force_n"])
         if rests and self._still_s > 0.0 and flags & Flag.CONTACT and force_n >= _MIN_REST_FORCE_N:
             self._rest_line = self._rest_line or self._rest_warning(touching(), force_n)
-        ranges = (self._range_warning(name, place) for place, name in enumerate("xy"))
+        ranges = (self._range_warning(name, place) for place, name in enumerate("xy") if self._driven[place])
         self.lines = tuple(line for line in (self._rest_line, *ranges) if line is not None)
 
     def _weigh_rest(self, passed_s: float, tolerance_m: float) -> None:
@@ -100,14 +104,18 @@ class HandleUse:
     def _rest_warning(self, objects: list[str], force_n: float) -> str | None:
         if not objects:
             return None
-        axes = self._hid.axes
+        assert self._axes is not None
+        uncalibrated = [
+            f"device.hid.axes.{name}.counts to {round(axis.counts(at_m))}"
+            for name, axis, at_m, driven in zip("xy", self._axes, self._rest_m, self._driven, strict=True)
+            if driven and getattr(self._hid.axes, name).counts is None
+        ]
         if self._hid.report is not None:
             remedy = "set zero_counts of device.hid.report.input to the counts at rest, or move the object"
-        elif axes.x.counts and axes.y.counts:
+        elif not uncalibrated:
             remedy = "move the object"
         elif self._from_file:
-            middles = self._rest_counts()
-            remedy = f"set the middle of device.hid.axes.x.counts and y.counts to {middles}, or move the object"
+            remedy = f"set the middle of {' and of '.join(uncalibrated)}, or move the object"
         else:
             remedy = "`hapticd devices calibrate` measures where the middle is; or move the object"
         x_mm, y_mm = 1e3 * self._rest_m
@@ -115,20 +123,15 @@ class HandleUse:
             f"the handle rests at x {x_mm:.1f} mm, y {y_mm:.1f} mm, inside {', '.join(objects)}, which pushes it with "
             f"{force_n:.2g} N: if nobody holds it, {remedy}"
         )
-        self._log_once(f"rest in {objects}", line)
+        self._log_once("rest", line)
         return line
-
-    def _rest_counts(self) -> str:
-        assert self._axes is not None
-        x, y = (round(axis.counts(at_m)) for axis, at_m in zip(self._axes, self._rest_m, strict=True))
-        return f"{x} and {y}"
 
     def _range_warning(self, name: str, place: int) -> str | None:
         """Return a warning about the range that an axis has reached; None if it is as expected, or not known yet."""
         assert self._axes is not None
         axis, travel_m = self._axes[place], self._hid.travel_m
         low_m, high_m = float(self._low_m[place]), float(self._high_m[place])
-        if self._hid.report is not None or axis.is_still or not low_m < high_m:
+        if self._hid.report is not None or high_m - low_m <= _MOVED_SHARE * travel_m:
             return None
         key = f"device.hid.axes.{name}.counts"
         low, high = axis.range_counts(low_m, high_m)

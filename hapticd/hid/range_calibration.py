@@ -126,8 +126,8 @@ def measure_range(
                 has_moved, still_since_s = True, now()
             still_s = now() - still_since_s
             if not has_moved and now() - start_s > START_TIMEOUT_S:
-                notes = (f"the handle was not moved within {START_TIMEOUT_S:.0f} s: its counts are not measured",)
-                return MeasuredRange(None, None, notes)
+                moved = f"by less than {100 * _STILL_SHARE:g} % of its axes' range within {START_TIMEOUT_S:.0f} s"
+                return MeasuredRange(None, None, (f"the handle moved {moved}: its counts are not measured",))
             until_s = SHORT_STILL_TIME_S if all(axis.is_swept for axis in axes) else LONG_STILL_TIME_S
             if has_moved and still_s > until_s:
                 break

@@ -153,16 +153,12 @@ def calibrate(
             back = pusher.push(along, -force_n, half_m)
             moved[name] = ((there[0] - back[0]) / 2.0, (there[1] - back[1]) / 2.0)
             if max(map(abs, moved[name])) < MIN_MOTION_SHARE * half_m:
-                advice = (
-                    ": ".join(idle_texts(pusher.idle))
-                    if pusher.idle
-                    else f"{STILL_ADVICE}, check that the device accepts these reports, or, if friction or a dead band "
-                    "takes this force, try a larger --force"
-                )
+                idle = f"{': '.join(idle_texts(pusher.idle))}; if that is not so, " if pusher.idle else ""
                 raise DeviceError(
                     f"the handle did not move along any axis when {force_n:g} N pushed along the device's {name} axis, "
                     f"nor for -{force_n:g} N: sent reports: {pusher.sent()} (hex, id first); "
-                    f"{advice}{_single_axis_hint(moved)}"
+                    f"{idle}{STILL_ADVICE}, check that the device accepts these reports, or, if friction or a dead "
+                    f"band takes this force, try a larger --force{_single_axis_hint(moved)}"
                 )
         return Calibration(_force_axes_of(moved), moved)
     finally:

@@ -11,6 +11,7 @@ from typing import Final
 
 from hapticd.base import wording
 from hapticd.base.core import HidMeaning, SignsProblem, SignsState, lib
+from hapticd.hid.device_texts import LET_GO
 from hapticd.system.repeated_lines import MAX_STATE_INTERVAL_S, Repeats
 
 PULSE_FORCE_SHARE: Final = 0.1
@@ -30,17 +31,17 @@ _PROBLEM_TEXTS: Final[dict[SignsProblem, str]] = {
     SignsProblem.CONTACT: "the handle touches an object of the scene",
 }
 _IDLE_TEXTS: Final[dict[HidMeaning, tuple[str, str]]] = {
-    HidMeaning.POWER: ("its actuators have no power", "plug the power supply in"),
-    HidMeaning.SAFETY: ("its safety switch is open", "hold the handle lightly"),
+    HidMeaning.POWER: ("its actuators have no power", "plug the power supply in (or release its emergency stop)"),
+    HidMeaning.SAFETY: (
+        "its safety switch is open",
+        "hold the handle lightly and still (or release its emergency stop)",
+    ),
     HidMeaning.ACTUATORS: ("its actuators are off", "switch the device's actuators on, or plug the device in again"),
     HidMeaning.PAUSED: ("it is paused", "end the program that paused it"),
     HidMeaning.RESET: ("it was reset", "wait until it is set up again"),
 }
 """For each state in which a device exerts no force: what the device reports, and what the user should do."""
-STILL_ADVICE: Final = (
-    "let go of the handle, unless the device has a hand sensor (then hold it lightly), release its emergency stop, "
-    "switch it to a work mode with force feedback"
-)
+STILL_ADVICE: Final = f"{LET_GO}, release its emergency stop, switch it to a work mode with force feedback"
 """What the user should do if the handle does not move, and the device does not report why."""
 SIGNS_REMEDY: Final = (
     "run `hapticd devices calibrate` to find device.hid.force_axes, or set device.hid.signs: trust without "
@@ -156,9 +157,8 @@ class SignsStatus:
                 "force, set device.hid.force_axes by hand, or device.hid.signs: trust to skip the check"
             )
         if self.state == SignsState.UNCLEAR:
-            return f"let go of the handle and turn forces on again, or {SIGNS_REMEDY}"
-        away = "move it away and " if self.problem == SignsProblem.CONTACT else ""
-        return f"{away}let go of it"
+            return f"{LET_GO}, and turn forces on again, or {SIGNS_REMEDY}"
+        return f"{'move it away, then ' if self.problem == SignsProblem.CONTACT else ''}{LET_GO}"
 
     def line(self) -> str | None:
         """Return the problem of the signs and the advice in one line; None without a problem."""
@@ -190,7 +190,7 @@ class SignsLog:
             return
         self._last = status
         if line is None:
-            text = "signs of the device checked: forces move the handle the right way"
+            text = "the signs of the device are right: forces are displayed"
             self._repeats.line("right", logging.INFO, text)
         elif status.problem == SignsProblem.IDLE:
             self._repeats.line("idle", logging.WARNING, f"forces are held back: {line}", MAX_STATE_INTERVAL_S)

@@ -21,6 +21,7 @@ from hapticd.cli.failure import report_error
 from hapticd.client.sources import patch_tree
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.status_text import FAULT_REASONS, lines, text_of
+from hapticd.hid.device_texts import LET_GO
 from hapticd.hid.signs import SignsStatus
 from hapticd.protocol.calls import DaemonNotRunning, RemoteError, result_of
 from hapticd.protocol.events import fault_names
@@ -128,11 +129,11 @@ def test_the_status_has_the_check_of_signs_and_the_remedy() -> None:
     assert shown[0] == ("forces", "on, but held back while the signs of the device are checked")
     assert ("signs", "checking") in shown
     shown = with_signs("on", SignsState.WAITING, SignsProblem.CONTACT)
-    advice = "the handle touches an object of the scene: move it away and let go of it"
+    advice = f"the handle touches an object of the scene: move it away, then {LET_GO}"
     assert ("signs", f"waiting: {advice}") in shown
     shown = with_signs("on", SignsState.WAITING, SignsProblem.IDLE, POWERLESS)
     assert shown[0] == ("forces", "on, but held back while the device exerts none")
-    advice = "the device exerts no force because its actuators have no power: plug the power supply in"
+    advice = SignsStatus(SignsState.WAITING, SignsProblem.IDLE, "x", POWERLESS).line()
     assert ("signs", f"waiting: {advice}") in shown
     shown = with_signs("on", SignsState.RIGHT)
     assert shown[0] == ("forces", "on") and ("signs", "right") in shown
@@ -163,11 +164,11 @@ def test_force_on_reports_a_pending_check_of_signs(tmp_path: Path, capsys: pytes
 
     with fake_daemon(tmp_path, answer):
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 0
-        assert capsys.readouterr().out == ("forces on, once the check of signs has passed: let go of the handle\n")
+        assert capsys.readouterr().out == f"forces on, once the check of signs has passed: {LET_GO}\n"
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 0
         assert capsys.readouterr().out == (
             "forces on, but held back: the device exerts no force because its actuators have no power: "
-            "plug the power supply in\n"
+            "plug the power supply in (or release its emergency stop)\n"
         )
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 1
         assert capsys.readouterr().err == (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from hapticd.hid.handle_use import HandleUse
 from hapticd.hid.plan import Plan
 from hapticd.hid.verdict import verdict_of
 from tests.hid.test_vendor import DESCRIPTOR, REPORT
+from tests.support.firmware_descriptors import OPENFFBOARD_1
 from tests.support.hid_descriptors import Joystick
 
 STICK = bytes(Joystick(axis_range=(-512, 511), axis_bits=10))
@@ -26,9 +28,9 @@ STEP_S = 0.05
 class Stick:
     """A handle whose counts a test gives; the warnings about it. Until something else is said, nothing is touched."""
 
-    def __init__(self, *, from_file: bool = False, **hid: Any) -> None:
+    def __init__(self, *, from_file: bool = False, desc: bytes = STICK, **hid: Any) -> None:
         self.hid = Hid.model_validate({"travel_m": TRAVEL_M, **hid})
-        plan = verdict_of(self.hid, STICK if self.hid.report is None else DESCRIPTOR).plan
+        plan = verdict_of(self.hid, desc if self.hid.report is None else DESCRIPTOR).plan
         assert plan is not None
         self.plan: Plan = plan
         self.use = HandleUse(self.hid, from_file=from_file)
@@ -87,7 +89,10 @@ def test_a_rest_in_short_pieces() -> None:
         stick.inside("floor")
         stick.at(0, 20, 0.5)
     (line,) = stick.use.lines
-    assert "set the middle of device.hid.axes.x.counts and y.counts to 0 and 20, or move the object" in line
+    assert (
+        "set the middle of device.hid.axes.x.counts to 0 and of device.hid.axes.y.counts to 20, or move the object"
+        in line
+    )
     assert "devices calibrate" not in line
 
 
@@ -128,6 +133,7 @@ def test_another_scene_ends_the_warning_unless_it_pushes_too(caplog: pytest.LogC
     stick.inside("block")
     stick.at(0, 20, 1)
     assert "inside block" in stick.use.lines[0]
+    assert len(caplog.messages) == 1, "a program that makes new objects again and again does not fill the log"
 
 
 def test_calibrated_counts_leave_only_the_object() -> None:
@@ -202,3 +208,40 @@ def test_a_device_with_vendor_reports_has_its_own_scale() -> None:
     stick.inside("floor")
     stick.at(0, 10, 20)
     assert "zero_counts of device.hid.report.input" in stick.use.lines[0]
+
+
+@pytest.mark.parametrize(
+    "desc", [OPENFFBOARD_1, bytes(Joystick(axes=(0x30,), force_axes=(0x30,)))], ids=["pedal", "none"]
+)
+@pytest.mark.parametrize(
+    ("x", "remedy"),
+    [
+        ({}, "set the middle of device.hid.axes.x.counts to 5000, or move the object"),
+        ({"counts": [-30000, 4000, 30000]}, "move the object"),
+    ],
+)
+def test_the_rest_of_a_wheel_concerns_x_alone(desc: bytes, x: dict[str, Any], remedy: str) -> None:
+    wheel = Stick(desc=desc, from_file=True, axes={"x": x})
+    wheel.inside("block")
+    wheel.at(5000, 0, 6)
+    assert wheel.use.lines[0].endswith(f"if nobody holds it, {remedy}")
+
+
+def test_the_pedal_of_a_wheel_has_no_range_to_warn_of() -> None:
+    stick = Stick(desc=OPENFFBOARD_1)
+    stick.along([(32767 * math.sin(i), 32740 + i % 27) for i in range(round(62 / STEP_S))])
+    assert stick.use.lines == ()
+
+
+def test_ten_bits_in_a_range_of_sixteen_are_reported() -> None:
+    """Firmware that sends what its converter gives, 0 to 1023."""
+    stick = Stick(desc=bytes(Joystick(axis_range=(0, 65535))))
+    stick.sweep(0, 1023, 62)
+    assert len(stick.use.lines) == 1 and " of 0..65535 in a minute's use" in stick.use.lines[0]
+
+
+def test_an_axis_along_which_nobody_moves_is_not_reported() -> None:
+    stick = Stick()
+    stick.sweep(-512, 511, 62)  # x is 0, then 1
+    stick.at(1, 0, 1)
+    assert stick.use.lines == ()

@@ -96,8 +96,10 @@ def test_a_device_that_exerts_no_force_says_why() -> None:
 
     with stick, pytest.raises(DeviceError) as caught:
         calibrate(stick.device, driver, hid, 0.4, now=lambda: stick.now, pause=pause)
-    assert "the device exerts no force because its safety switch is open: hold the handle lightly" in str(caught.value)
-    assert "release" not in str(caught.value)
+    text = str(caught.value)
+    assert "the device exerts no force because its safety switch is open: hold the handle lightly" in text
+    # Some firmware never sets these bits; then the cause is another one.
+    assert "; if that is not so, let go of the handle" in text and "dead band" in text
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,8 @@ import pytest
 from hapticd.base.core import CData, HidMeaning, SignsProblem, SignsState, ffi, lib
 from hapticd.hid.signs import Check, SignsStatus
 
+LET_GO = "let go of the handle, or hold it lightly and still if it has a hand sensor"
+
 RATE_HZ = 1000
 TRAVEL_M = 0.05
 FULL_N = 8.9
@@ -235,7 +237,7 @@ def test_the_check_waits_while_the_handle_moves_and_reports_it() -> None:
 
     status = [swung() for _ in range(3000)][-1]
     assert (status.state, status.problem) == (SignsState.WAITING, SignsProblem.MOVING)
-    assert status.line() == "the handle does not come to rest: let go of it"
+    assert status.line() == f"the handle does not come to rest: {LET_GO}"
     handle.held = False
     assert run.end().state == SignsState.RIGHT
 
@@ -245,7 +247,7 @@ def test_nothing_is_pushed_while_something_is_touched() -> None:
     run.input.contact = 1
     status = [run.tick() for _ in range(1000)][-1]
     assert (status.state, status.problem) == (SignsState.WAITING, SignsProblem.CONTACT)
-    assert status.line() == "the handle touches an object of the scene: move it away and let go of it"
+    assert status.line() == f"the handle touches an object of the scene: move it away, then {LET_GO}"
     assert not np.array(run.handle.forces).any()
     run.input.contact = 0
     while not run.force[0]:
@@ -302,9 +304,12 @@ def idle_for(*meanings: HidMeaning) -> int:
 @pytest.mark.parametrize(
     ("meanings", "line"),
     [
-        ([HidMeaning.SAFETY], "its safety switch is open: hold the handle lightly"),
+        (
+            [HidMeaning.SAFETY],
+            "its safety switch is open: hold the handle lightly and still (or release its emergency ",
+        ),
         ([HidMeaning.ACTUATORS], "its actuators are off: switch the device's actuators on"),
-        ([HidMeaning.POWER], "its actuators have no power: plug the power supply in"),
+        ([HidMeaning.POWER], "its actuators have no power: plug the power supply in (or release its emergency stop)"),
         ([HidMeaning.PAUSED], "it is paused: end the program that paused it"),
         ([HidMeaning.RESET], "it was reset: wait until it is set up again"),
         ([HidMeaning.SAFETY, HidMeaning.POWER], "its actuators have no power and its safety switch is open: plug the "),
@@ -385,6 +390,34 @@ def test_a_handle_that_moves_nevertheless_proves_the_report_wrong(way: float, me
     for idle in (0, run.input.idle):
         run.input.idle = idle
         assert run.tick().state == status.state
+
+
+@pytest.mark.parametrize("seed", [32, 72])
+def test_a_hand_that_turns_a_wheel_without_power_proves_nothing(seed: int) -> None:
+    """The wheel has a spring. The hand turns it and pauses, again and again; by chance one round looks right."""
+    random = np.random.default_rng(seed)
+    rates_hz, phases = random.uniform(0.3, 6.0, 4), random.uniform(0.0, 2 * np.pi, 4)
+    sizes_n = random.uniform(0.0, 0.2, 4)
+    period_s = random.uniform(1.0, 4.0)
+
+    def hand(time_s: float) -> tuple[float, float]:
+        is_turning = time_s / period_s % 1.0 < 0.5
+        return float((sizes_n * np.sin(2 * np.pi * rates_hz * time_s + phases)).sum()) * is_turning, 0.0
+
+    run = Run(Handle(turn=((0.0, 0.0), (0.0, 0.0)), hand=hand, spring=60.0, damping=1.5), axes=(True, False))
+    run.input.idle = idle_for(HidMeaning.POWER)
+    found = {run.tick() for _ in range(2 * RATE_HZ)}
+    assert {(status.state, status.problem) for status in found} == {(SignsState.WAITING, SignsProblem.IDLE)}
+
+
+def test_bits_that_seemed_wrong_are_read_again_after_a_check_without_a_result() -> None:
+    run = Run(Handle(turn=((1.0, 0.0), (0.0, 0.0))))
+    run.input.idle = idle_for(HidMeaning.POWER)
+    status = run.end()
+    assert (status.state, status.problem, status.axis) == (SignsState.UNCLEAR, SignsProblem.STILL, "y")
+    run.handle.held = True
+    status = run.tick()
+    assert (status.state, status.problem, status.axis) == (SignsState.WAITING, SignsProblem.IDLE, "x")
 
 
 def test_after_the_check_the_scene_waits_for_a_device_that_exerts_no_force() -> None:

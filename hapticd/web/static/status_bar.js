@@ -209,7 +209,8 @@ function drawAlerts(bar) {
     }
     const signs = model.status.connection?.signs;
     if (safety.forces === "on" && (signs?.state === "checking" || signs?.state === "waiting")) {
-      lines.push(["warn", signs.advice ?? "The joystick's directions are checked: let go of the handle."]);
+      lines.push(["warn", signs.advice ?? "The joystick's directions are checked: let go of the handle, or hold it " +
+        "lightly and still if it has a hand sensor."]);
     }
     if (safety.forces === "off" && model.status.device === "hid") {
       const limit = model.config.device?.max_force_n;
