@@ -24,7 +24,7 @@ with fewer, but more than the lines of numbers before them."""
 _MAX_PREAMBLE_LINES: Final = 1000
 """The numbers must begin within this number of lines."""
 _SEPARATOR_PATTERN: Final = re.compile(r'\s*"?sep=(\\t|[^"\n])?"?[\s,;]*(?:\n|$)', re.IGNORECASE)
-_VALUE_PATTERN: Final = re.compile(r"(.*[:=])?\s*[-+\u00b1]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(\D*)")
+_VALUE_PATTERN: Final = re.compile(r"(.*\D[:=])?\s*[-+\u00b1]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(\D*)")
 """A value with its unit, such as `Sample rate: 2000 Hz`: a cell of a preamble, not a name."""
 
 
@@ -106,17 +106,21 @@ def csv_table_of(content: bytes, skipped: int = 0, advice: str = "remove the oth
         separator = {"\\t": "\t", " ": ""}.get(named[1], named[1])
         skipped += named[0].count("\n")
     head: list[_Line] = []
-    comment, number = "", 0
+    comments: list[_Line] = []
+    number = 0
     for number, line in islice(_lines(text), skipped + _MAX_PREAMBLE_LINES):
         if number <= skipped:
             continue
-        if line.lstrip().startswith("#"):
-            comment = comment if any(each.is_of_numbers for each in head) else line.lstrip()[1:]
-            continue
-        delimiter = _delimiter(line) if separator is None else separator
-        cells = _cells(line, delimiter)
+        is_comment = line.lstrip().startswith("#")
+        text_of_line = line.lstrip()[1:] if is_comment else line
+        delimiter = _delimiter(text_of_line) if separator is None else separator
+        cells = _cells(text_of_line, delimiter)
         numeric = frozenset(index for index, cell in enumerate(cells) if number_of(cell, delimiter) is not None)
-        head.append(_Line(number, line, cells, delimiter, numeric))
+        found = _Line(number, text_of_line, cells, delimiter, numeric)
+        if not is_comment:
+            head.append(found)
+        elif not any(each.is_of_numbers for each in head):
+            comments.append(found)
     block = _first_of_block(head)
     if block is None:
         if not head:
@@ -135,26 +139,27 @@ def csv_table_of(content: bytes, skipped: int = 0, advice: str = "remove the oth
                 f"line {above.number} holds a number, but the lines of numbers begin only after line "
                 f"{head[start - 1].number}, which holds text: {advice}"
             )
-    found = _names_and_units(head[:start], usual)
-    if found is None:
+    # The names may stand in a comment with as many cells as the lines of numbers.
+    fitting = [line for line in comments if len(_cells_above(line, usual)) == len(usual.cells)]
+    names_and_units = _names_and_units(head[:start] or fitting, usual)
+    if names_and_units is None and start > 0:
         raise ValueError(
             f"lines {head[0].number} to {head[start - 1].number}, above the numbers, end in neither names nor units: "
             f"{advice}"
         )
-    names, units = found
-    if start == 0 and len(of_comment := _cells(comment, usual.delimiter)) == len(usual.cells):
-        names = of_comment
-    if names and any(usual.cells[len(names) :]):
-        raise ValueError(f"line {usual.number} must have {len(names)} columns, has {len(usual.cells)}")
-    width = max(len(names), len(usual.cells))
-    while names and not names[-1]:
-        names.pop()
-    is_named = bool(names)
+    names, units = names_and_units or ([], [])
+    if names and (len(names) > len(usual.cells) or any(usual.cells[len(names) :])):
+        raise ValueError(
+            f"line {usual.number} must have {len(names)} columns, as many as there are names, has {len(usual.cells)}: "
+            f"{advice}"
+        )
+    names = names[: usual.width]
+    is_named = any(names)
     return CsvTable(
         text,
         head[start].number,
         usual.delimiter,
-        width,
+        len(usual.cells),
         [name or str(index + 1) for index, name in enumerate(names or [""] * usual.width)],
         {index: unit for index, unit in enumerate(units) if unit},
         is_named,
@@ -171,7 +176,9 @@ def number_of(cell: str, delimiter: str) -> float | None:
 
 def _first_of_block(head: Sequence[_Line]) -> int | None:
     """Return the index of the first line of a block of numbers; without a block, of the first line of numbers."""
-    of_numbers = [index for index, line in enumerate(head) if line.is_of_numbers]
+    of_numbers = [index for index, line in enumerate(head) if line.is_of_numbers] or [
+        index for index, line in enumerate(head) if line.numeric
+    ]
     for before, index in enumerate(of_numbers):
         lines = head[index : index + _BLOCK_LINES]
         if len(lines) > min(before, _BLOCK_LINES - 1) and len({each.form for each in lines}) == 1:
@@ -186,7 +193,7 @@ def _names_and_units(above: Sequence[_Line], usual: _Line) -> tuple[list[str], l
         return [], []
     names, last = rows[0], rows[-1]
     filled = [cell for cell in last[: usual.width] if cell]
-    is_title = len(filled) == 1 < usual.width and (len(rows) == 1 or len(names) < usual.width)
+    is_title = len(filled) == 1 < usual.width and last[0] != "" and (len(rows) == 1 or len(names) < usual.width)
     if above[-1].text.count('"') % 2 or (is_title and has_unit_in_brackets(filled[0])):
         return None
     if is_title or (any(map(_is_value, last)) and not any(map(has_unit_in_brackets, last))):
