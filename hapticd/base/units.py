@@ -237,11 +237,10 @@ def _candidates(name: str, quantity: Quantity) -> Iterator[tuple[str, str]]:
 def _last_words(words: list[str], name: str, quantity: Quantity) -> Iterator[tuple[str, str]]:
     """Yield the units that the last words of a name may be, each with the words before it."""
     for count in range(min(4, len(words)), 1, -1):
-        is_prefixed = words[-count].casefold() in ("milli", "micro")
+        may_join = words[-count].casefold() in ("milli", "micro", "g")
         for joint in ("_", "/"):
             text = joint.join(words[-count:])
-            is_unit_or_known = unit_of(text, quantity) or (joint == "_" and is_unit(text))
-            if (is_prefixed or "/" in _key(text)) and is_unit_or_known:
+            if (may_join or "/" in _key(text)) and (unit_of(text, quantity) or (joint == "_" and is_unit(text))):
                 yield text, " ".join(words[:-count])
     if words:
         text, rest = words[-1], " ".join(words[:-1])
