@@ -35,22 +35,24 @@ UNITS_OF: Final[dict[Quantity, dict[str, float]]] = {
 _SINGLE_LETTERS: Final = ("g", "m", "s", "N", "V")
 """Single letters that are units in a name. Others, and these in another case, number a channel or name an axis."""
 _OTHER_UNIT_PATTERN: Final = re.compile(
-    "[mku]?v(?:dc|ac|rms|pp|pk)?|m?volts?|voltage|ips|mph|[pn]c|[kmh]?pa|m?bar|psi|[km]?hz|db(?:v|m|fs)?|%(?:fs)?|°c?|deg(?:c|rees?)?|dps|rpm|lb[fs]?|k?gf|"
-    "kg|ozf?|[uc]n|dan|nm|[un]g|m?gal|ohm|lsbs?|adc|raw|counts?|cts|codes?|digits?|bits|au|arb(?:units?)?|unitless|"
-    "normali[sz]ed"
+    "[mku]?v(?:dc|ac|rms|pp|pk)?|m?volts?|voltage|[pn]c|[kmh]?pa|m?bar|psi|[km]?hz|db(?:v|m|fs)?|%(?:fs)?|°c?|"
+    "deg(?:c|rees?)?|m?rad|dps|rpm|ips|mph|lb[fs]?|k?gf|[km]?gr(?:f|am(?:me)?s?)?|kg|ozf?|[uc]n|dan|n[cm]?m|[un]g|m?gal|"
+    "ohm|px|pixels?|lsbs?|adc|raw|counts?|cts|codes?|digits?|bits|au|arb(?:units?)?|unitless|normali[sz]ed"
 )
 """Units of quantities that no recording has here, and of raw numbers, as `_key` spells them."""
-_OTHER_TIME_PATTERN: Final = re.compile("min(?:utes)?|h|hrs?|hours?|d|days?|samples?|ticks?|index")
-"""The same for times only: `min` is a minimum in the name of another column."""
 _OTHER_LENGTH_PATTERN: Final = re.compile("in|inch(?:es)?|ft|mils?|dm|km|steps?|ticks?")
-"""The same for positions only."""
-_OTHER_FORCE_PATTERN: Final = re.compile("m?g")
-"""The same for forces only: a balance gives grams."""
+_OTHER_PATTERN_OF: Final[dict[Quantity | None, re.Pattern[str]]] = {
+    "time": re.compile("min(?:utes)?|h|hrs?|hours?|d|days?|samples?|ticks?|index"),
+    "force": re.compile("m?g"),
+    "position": _OTHER_LENGTH_PATTERN,
+    "tangential_position": _OTHER_LENGTH_PATTERN,
+}
+"""The same for one quantity only: `min` is a minimum in the name of another column."""
 _PART_PATTERN: Final = re.compile("rad|in|ft|min|h|1|[cdmkun]?m|m?s|g|n|" + _OTHER_UNIT_PATTERN.pattern)
 """What a unit with a slash may consist of."""
 _SPELLING_PATTERNS: Final = (
     (r"squared|sq$", "2"),
-    (r"microns?$", "um"),
+    (r"microns?$|^u$", "um"),
     (r"seconds?|secs?|sek", "s"),
     (r"met(?:er|re)s?", "m"),
     (r"newtons?", "n"),
@@ -107,7 +109,7 @@ def is_unit(text: str, quantity: Quantity | None = None) -> bool:
     """Return whether a text is nothing but a unit, known or unknown, of this quantity or of any."""
     bare = text.strip("()[]{} ")
     if len(bare) == 1 or bare == "mA":
-        return bare in _SINGLE_LETTERS or bare in ("%", "°", "mA")
+        return bare in _SINGLE_LETTERS or bare in ("%", "°", "μ", "mA")
     key = _key(text)
     if _is_other(key, quantity) or any(key in known for known in _UNIT_OF_KEY.values()):
         return True
@@ -204,13 +206,8 @@ def _in_brackets(match: re.Match[str], quantity: Quantity | None) -> str:
 
 def _is_other(key: str, quantity: Quantity | None) -> bool:
     """Return whether a key is that of an unknown unit of this quantity or of any."""
-    own = {
-        "time": _OTHER_TIME_PATTERN,
-        "force": _OTHER_FORCE_PATTERN,
-        "position": _OTHER_LENGTH_PATTERN,
-        "tangential_position": _OTHER_LENGTH_PATTERN,
-    }
-    return any(pattern.fullmatch(key) for pattern in (_OTHER_UNIT_PATTERN, own.get(quantity or "")) if pattern)
+    patterns = (_OTHER_UNIT_PATTERN, _OTHER_PATTERN_OF.get(quantity))
+    return any(pattern is not None and pattern.fullmatch(key) for pattern in patterns)
 
 
 def _candidates(name: str, quantity: Quantity) -> Iterator[tuple[str, str]]:
@@ -248,7 +245,7 @@ def _last_words(words: list[str], name: str, quantity: Quantity) -> Iterator[tup
         known = unit_of(text, quantity) is not None or _is_other(_key(text), quantity) or "/" in text
         spelt = is_unit(text, quantity) or (text == "G" and (name.isupper() or words[-2:-1] == ["in"]))
         named = any(map(str.isalpha, rest)) or (rest == "" and (text != "V" or quantity != "speed"))
-        if known and spelt and named and text not in ("in", "min", "d", "h"):
+        if known and spelt and named and text != "in":
             yield text, rest
 
 

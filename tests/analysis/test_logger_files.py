@@ -91,6 +91,7 @@ def test_a_unit_of_time_in_a_name_is_read(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("quantity", "name", "scale"),
     [
+        ("position", "d (\u00b5)", 1e-6),
         ("force", "F_mN", 1e-3), ("force", "Fn [N]", 1), ("force", "F_n", 1), ("position", "x (\u00b5m)", 1e-6),
         ("position", "d [micron]", 1e-6), ("tangential_position", "s_mm", 1e-3), ("position", "Z (MM)", 1e-3),
     ],
@@ -193,9 +194,22 @@ def test_an_accelerometer_with_a_line_of_other_units_is_refused(tmp_path: Path) 
     assert load_recording(path).acceleration_m_per_s2 == pytest.approx(np.array(VALUES) - np.mean(VALUES))
 
 
-def test_a_force_in_grams_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path, ["t,weight_g"], rows(), "columns: {time: {column: 1}, force: {column: 2}}")
-    assert "unknown unit of force 'g' by the name of its column 'weight_g', known: N" in refused(path)
+@pytest.mark.parametrize(
+    ("quantity", "name", "unit"),
+    [
+        ("force", "weight_g", "g"), ("force", "F (grams)", "grams"), ("force", "load_kilograms", "kilograms"),
+        ("force", "T (Nmm)", "Nmm"), ("position", "x_px", "px"), ("position", "angle (rad)", "rad"),
+    ],
+)  # fmt: skip
+def test_an_unknown_unit_of_a_quantity_is_refused(tmp_path: Path, quantity: str, name: str, unit: str) -> None:
+    beside = f"columns: {{time: {{column: 1}}, {quantity}: {{column: 2}}}}"
+    told = f"unknown unit of {quantity} '{unit}' by the name of its column '{name}', known: "
+    assert told in refused(written(tmp_path, [f"t,{name}"], rows(), beside))
+
+
+def test_times_in_minutes_are_refused(tmp_path: Path) -> None:
+    told = "unknown unit of time 'min' by the name of its column 'Time_min'"
+    assert told in refused(written(tmp_path, ["Time_min,a"], rows(), BY_NUMBER))
 
 
 # ---- Separators and preambles ----------------------------------------------------------------------------------------
@@ -289,7 +303,8 @@ Time (s),AI 1 (g)""".splitlines()
     ],
     ids=["LabVIEW", "Tektronix", "Dewesoft", "Pico", "Rigol", "units", "Siglent", "logger", "one line", "sep",
          "no names", "types", "units above names", "two separators", "range", "blanks", "old Tektronix", "PicoLog",
-         "GW Instek", "title with units", "numpy, blanks", "comment below names", "values below names", "tab", "title above a comment"],
+         "GW Instek", "title with units", "numpy, blanks", "comment below names", "values below names", "tab",
+         "title above a comment"],
 )  # fmt: skip
 def test_a_preamble_is_skipped(tmp_path: Path, head: list[str], numbers: list[str], beside: str, scale: float) -> None:
     check_scale(written(tmp_path, head, numbers, beside and f"columns: {beside}"), scale)
