@@ -24,7 +24,7 @@ with fewer, but more than the lines of numbers before them."""
 _MAX_PREAMBLE_LINES: Final = 1000
 """The numbers must begin within this number of lines."""
 _SEPARATOR_PATTERN: Final = re.compile(r'\s*"?sep=(\\t|[^"\n])?"?[\s,;]*(?:\n|$)', re.IGNORECASE)
-_VALUE_PATTERN: Final = re.compile(r"(.*[:=])?\s*[-+\u00b1]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(\D*)")
+_VALUE_PATTERN: Final = re.compile(r"(.*\D[:=])?\s*[-+\u00b1]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*(\D*)")
 """A value with its unit, such as `Sample rate: 2000 Hz`: a cell of a preamble, not a name."""
 
 
@@ -43,6 +43,12 @@ class _Line:
     def width(self) -> int:
         """Number of cells without the empty ones at the end."""
         return max((index + 1 for index, cell in enumerate(self.cells) if cell), default=0)
+
+    @property
+    def dates(self) -> set[tuple[int, str]]:
+        """Indices and forms of the cells that hold a date or a time of day, such as 0000-00-00 00:00."""
+        forms = enumerate(re.sub(r"\d", "0", cell) for cell in self.cells)
+        return {(index, form) for index, form in forms if re.match(r"0+[-/.:]0+[-/.:]0", form)}
 
     @property
     def form(self) -> tuple[str, int, frozenset[int]]:
@@ -106,26 +112,26 @@ def csv_table_of(content: bytes, skipped: int = 0, advice: str = "remove the oth
         separator = {"\\t": "\t", " ": ""}.get(named[1], named[1])
         skipped += named[0].count("\n")
     head: list[_Line] = []
-    comment, number = "", 0
+    comments: list[_Line] = []
+    number = 0
     for number, line in islice(_lines(text), skipped + _MAX_PREAMBLE_LINES):
         if number <= skipped:
             continue
-        if line.lstrip().startswith("#"):
-            comment = comment if any(each.is_of_numbers for each in head) else line.lstrip()[1:]
-            continue
-        delimiter = _delimiter(line) if separator is None else separator
-        cells = _cells(line, delimiter)
+        bare = re.sub(r"^\s*#", "", line)
+        delimiter = _delimiter(bare) if separator is None else separator
+        cells = _cells(bare, delimiter)
         numeric = frozenset(index for index, cell in enumerate(cells) if number_of(cell, delimiter) is not None)
-        head.append(_Line(number, line, cells, delimiter, numeric))
+        (head if bare == line else comments).append(_Line(number, bare, cells, delimiter, numeric))
     block = _first_of_block(head)
     if block is None:
         if not head:
             raise ValueError("is empty" if skipped == 0 else f"has no line after the {skipped} that are skipped")
         raise ValueError(f"holds no line of numbers in lines {skipped + 1} to {number}")
     usual = head[block]
-    # A line with a number between the last line of text and the block is a sample with a fault, and reported as such.
+    # A line with a number or a date between the last line of text and the block is a sample with a fault, and reported
+    # as such.
     texts = [
-        not line.is_of_numbers and (index == 0 or not line.numeric & usual.numeric)
+        not line.is_of_numbers and not line.dates & usual.dates and (index == 0 or not line.numeric & usual.numeric)
         for index, line in enumerate(head[:block])
     ]
     start = block - texts[::-1].index(True) if any(texts) else 0
@@ -141,20 +147,25 @@ def csv_table_of(content: bytes, skipped: int = 0, advice: str = "remove the oth
             f"lines {head[0].number} to {head[start - 1].number}, above the numbers, end in neither names nor units: "
             f"{advice}"
         )
-    names, units = found
-    if start == 0 and len(of_comment := _cells(comment, usual.delimiter)) == len(usual.cells):
-        names = of_comment
-    if names and any(usual.cells[len(names) :]):
-        raise ValueError(f"line {usual.number} must have {len(names)} columns, has {len(usual.cells)}")
-    width = max(len(names), len(usual.cells))
-    while names and not names[-1]:
-        names.pop()
-    is_named = bool(names)
+    if not any(found):
+        # The names may stand in a comment with as many cells as the lines of numbers.
+        above_numbers = [line for line in comments if line.number < head[start].number]
+        rows = [(line, _cells_above(line, usual)) for line in above_numbers]
+        fitting = [line for line, cells in rows if len(cells) == len(usual.cells) and not _are_values(cells)]
+        found = _names_and_units(fitting, usual)
+    names, units = found or ([], [])
+    if names and (len(names) > len(usual.cells) or any(usual.cells[len(names) :])):
+        raise ValueError(
+            f"line {usual.number} must have {len(names)} columns, as many as there are names, has {len(usual.cells)}; "
+            f"if the line above holds no names, {advice}"
+        )
+    names = names[: usual.width]
+    is_named = any(names)
     return CsvTable(
         text,
         head[start].number,
         usual.delimiter,
-        width,
+        len(usual.cells),
         [name or str(index + 1) for index, name in enumerate(names or [""] * usual.width)],
         {index: unit for index, unit in enumerate(units) if unit},
         is_named,
@@ -171,7 +182,9 @@ def number_of(cell: str, delimiter: str) -> float | None:
 
 def _first_of_block(head: Sequence[_Line]) -> int | None:
     """Return the index of the first line of a block of numbers; without a block, of the first line of numbers."""
-    of_numbers = [index for index, line in enumerate(head) if line.is_of_numbers]
+    of_numbers = [index for index, line in enumerate(head) if line.is_of_numbers] or [
+        index for index, line in enumerate(head) if line.numeric
+    ]
     for before, index in enumerate(of_numbers):
         lines = head[index : index + _BLOCK_LINES]
         if len(lines) > min(before, _BLOCK_LINES - 1) and len({each.form for each in lines}) == 1:
@@ -186,10 +199,10 @@ def _names_and_units(above: Sequence[_Line], usual: _Line) -> tuple[list[str], l
         return [], []
     names, last = rows[0], rows[-1]
     filled = [cell for cell in last[: usual.width] if cell]
-    is_title = len(filled) == 1 < usual.width and (len(rows) == 1 or len(names) < usual.width)
+    is_title = len(filled) == 1 < usual.width and last[0] != "" and (len(rows) == 1 or len(names) < usual.width)
     if above[-1].text.count('"') % 2 or (is_title and has_unit_in_brackets(filled[0])):
         return None
-    if is_title or (any(map(_is_value, last)) and not any(map(has_unit_in_brackets, last))):
+    if is_title or _are_values(last):
         return [], []
     if len(rows) == 1:
         return last, []
@@ -197,7 +210,8 @@ def _names_and_units(above: Sequence[_Line], usual: _Line) -> tuple[list[str], l
     units, units_above = _units_in(last[: usual.width]), _units_in(names)
     if could_be_names and len(last) >= usual.width and units == 0 and units_above == sum(map(bool, names)):
         return last, names
-    if could_be_names and (2 * units >= len(filled) or any(map(has_unit_in_brackets, names))):
+    are_named = any(map(has_unit_in_brackets, names)) and not any(map(has_unit_in_brackets, last))
+    if could_be_names and (are_named or 2 * units >= len(filled)):
         return names, last[: usual.width]
     return (last, []) if len(last) >= usual.width and (units == 0 or not could_be_names) else None
 
@@ -217,6 +231,11 @@ def _cells_above(line: _Line, usual: _Line) -> list[str]:
     while len(cells) > len(usual.cells) and cells[-1] in ("Comment", "Start", "Increment", ""):
         cells.pop()
     return cells
+
+
+def _are_values(cells: Sequence[str]) -> bool:
+    """Return whether cells above the numbers hold values of a preamble, and not names."""
+    return any(map(_is_value, cells)) and not any(map(has_unit_in_brackets, cells))
 
 
 def _is_value(cell: str) -> bool:

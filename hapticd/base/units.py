@@ -4,7 +4,8 @@ A unit may stand in a column's name in these places; the table is in docs/fit.md
 
     Acc (g), Acc [g], Acc {g}     in brackets, anywhere
     a / g                         behind a slash
-    ax_g, Acc g, acc_m_per_s2     as the last word; a single letter counts only if it is written as the unit is
+    ax_g, Acc g, a-g, a_mm_per_s2 as the last word; a single letter counts only if it is written as the unit is
+    acc_g_x, acc_g_1, ax_g (left) as the last word before x, y, z, a number, `filtered`, or brackets without a unit
     ms                            as the complete name
 """
 
@@ -34,21 +35,25 @@ UNITS_OF: Final[dict[Quantity, dict[str, float]]] = {
 _SINGLE_LETTERS: Final = ("g", "m", "s", "N", "V")
 """Single letters that are units in a name. Others, and these in another case, number a channel or name an axis."""
 _OTHER_UNIT_PATTERN: Final = re.compile(
-    "[mku]?v|m?volts?|[pn]c|[kmh]?pa|m?bar|psi|[km]?hz|db(?:v|m|fs)?|%(?:fs)?|°c?|deg(?:c|rees?)?|dps|rpm|lb[fs]?|k?gf|"
-    "kg|ozf?|[uc]n|dan|nm|[un]g|m?gal|ohm|lsbs?|adc|raw|counts?|cts|codes?|digits?|bits|au|arb(?:units?)?|unitless|"
-    "normali[sz]ed"
+    "[mku]?v(?:dc|ac|rms|pp|pk)?|m?volts?|voltage|[pn]c|[kmh]?pa|m?bar|psi|[km]?hz|db(?:v|m|fs)?|%(?:fs)?|°c?|"
+    "deg(?:c|rees?)?|m?rad|dps|rpm|ips|mph|lb[fs]?|k?gf|[km]?gr(?:f|am(?:me)?s?)?|kg|ozf?|[uc]n|dan|n[cm]?m|[un]g|m?gal|"
+    "ohm|px|pixels?|lsbs?|adc|raw|counts?|cts|codes?|digits?|bits|au|arb(?:units?)?|unitless|normali[sz]ed"
 )
 """Units of quantities that no recording has here, and of raw numbers, as `_key` spells them."""
-_OTHER_TIME_PATTERN: Final = re.compile("min(?:utes)?|h|hrs?|hours?|d|days?|samples?|ticks?|index")
-"""The same for times only: `min` is a minimum in the name of another column."""
 _OTHER_LENGTH_PATTERN: Final = re.compile("in|inch(?:es)?|ft|mils?|dm|km|steps?|ticks?")
-"""The same for positions only."""
+_OTHER_PATTERN_OF: Final[dict[Quantity | None, re.Pattern[str]]] = {
+    "time": re.compile("min(?:utes)?|h|hrs?|hours?|d|days?|samples?|ticks?|index"),
+    "force": re.compile("m?g"),
+    "position": _OTHER_LENGTH_PATTERN,
+    "tangential_position": _OTHER_LENGTH_PATTERN,
+}
+"""The same for one quantity only: `min` is a minimum in the name of another column."""
 _PART_PATTERN: Final = re.compile("rad|in|ft|min|h|1|[cdmkun]?m|m?s|g|n|" + _OTHER_UNIT_PATTERN.pattern)
 """What a unit with a slash may consist of."""
 _SPELLING_PATTERNS: Final = (
-    (r"squared", "2"),
-    (r"microns?$", "um"),
-    (r"seconds?|secs?", "s"),
+    (r"squared|sq$", "2"),
+    (r"microns?$|^u$", "um"),
+    (r"seconds?|secs?|sek", "s"),
     (r"met(?:er|re)s?", "m"),
     (r"newtons?", "n"),
     (r"milli", "m"),
@@ -57,12 +62,20 @@ _SPELLING_PATTERNS: Final = (
     (r"nano", "n"),
     (r"kilo", "k"),
     (r"per(?!cent)", "/"),
-    (r"^(m?)(?:gs|g's|g0|gn|gee|gforce)$", r"\1g"),
-    (r"^([cmu]?m)/?(?:s-2|ss|s/s|ps2|s2)$", r"\1/s2"),
+    (r"^(m?)(?:gs|g's|g0|gn|gee|gforce|grms|gpk)$", r"\1g"),
+    (r"^([cmu]?m)/?(?:s-2|ss|s/s|ps2|pss|s2|s[?\ufffd\u00fd])$", r"\1/s2"),
     (r"^([cmu]?m)(?:s-1|ps)$", r"\1/s"),
 )
-"""Spellings of units and their replacements, in the order in which they are applied."""
+"""Spellings of units and their replacements, in the order in which they are applied; ? and \u00fd are a damaged 2."""
 _BRACKETS_PATTERN: Final = re.compile(r"\(((?:[^()]|\([^()]*\))*)\)|\[([^\[\]]*)\]|\{([^{}]*)\}")
+_GRAVITY_PATTERN: Final = re.compile(
+    r"(?<![^\W_])(?:with(?:out)?|w/?o|no|minus|incl|excl|ohne|mit|sans|sin)[\s_.]+g(?![^\W_])"
+    r"|(?<![^\W_])g[\s_-]+(?:removed|subtracted|compensated|free)",
+    re.IGNORECASE,
+)
+"""A g in a name that is the gravity, such as `Acceleration (without g)`."""
+_SUFFIX_PATTERN: Final = re.compile(r"[xyz]|\d+|filt(?:ered)?", re.IGNORECASE)
+"""A word that may follow the unit in a name."""
 _MAX_CONVERSION_ERROR: Final = 0.02
 """Largest relative error of a `scale` that still is a conversion of units, such as 9.81 for g."""
 
@@ -96,7 +109,7 @@ def is_unit(text: str, quantity: Quantity | None = None) -> bool:
     """Return whether a text is nothing but a unit, known or unknown, of this quantity or of any."""
     bare = text.strip("()[]{} ")
     if len(bare) == 1 or bare == "mA":
-        return bare in _SINGLE_LETTERS or bare in ("%", "°", "mA")
+        return bare in _SINGLE_LETTERS or bare in ("%", "°", "μ", "mA")
     key = _key(text)
     if _is_other(key, quantity) or any(key in known for known in _UNIT_OF_KEY.values()):
         return True
@@ -114,7 +127,7 @@ def stated_unit(name: str, quantity: Quantity, line_unit: str = "") -> StatedUni
 
     Raises ColumnUnitError if they contradict each other.
     """
-    found = _unit_in_name(unicodedata.normalize("NFKC", name), quantity)
+    found = _unit_in_name(_GRAVITY_PATTERN.sub("gravity", unicodedata.normalize("NFKC", name)), quantity)
     by_name = None if found is None else StatedUnit(found[0], f"the name of its column {shown_name(name)}", found[1])
     if not line_unit:
         return by_name
@@ -184,18 +197,17 @@ def _unit_in_name(name: str, quantity: Quantity) -> tuple[str, str] | None:
 
 
 def _in_brackets(match: re.Match[str], quantity: Quantity | None) -> str:
-    """Return the unit in brackets, of which it may be a part: `(g, filtered)`; "" without one."""
+    """Return the unit in brackets, of which it may be a part: `(g, filtered)`, `(16g)`; "" without one."""
     text = "".join(filter(None, match.groups())).strip()
-    parts = [text, *re.split(r"[\s,;|]+", text)]
+    parts = [text, *re.split(r"[\s,;|]+|(?<=\d)(?=[^\W\d])", text)]
     is_g = ("G",) if quantity in (None, "acceleration") else ()
     return next((part for part in parts if part in is_g or is_unit(part, quantity)), "")
 
 
 def _is_other(key: str, quantity: Quantity | None) -> bool:
     """Return whether a key is that of an unknown unit of this quantity or of any."""
-    own = {"time": _OTHER_TIME_PATTERN, "position": _OTHER_LENGTH_PATTERN, "tangential_position": _OTHER_LENGTH_PATTERN}
-    patterns = [_OTHER_UNIT_PATTERN, *([own[quantity]] if quantity in own else [])]
-    return any(pattern.fullmatch(key) for pattern in patterns)
+    patterns = (_OTHER_UNIT_PATTERN, _OTHER_PATTERN_OF.get(quantity))
+    return any(pattern is not None and pattern.fullmatch(key) for pattern in patterns)
 
 
 def _candidates(name: str, quantity: Quantity) -> Iterator[tuple[str, str]]:
@@ -207,32 +219,45 @@ def _candidates(name: str, quantity: Quantity) -> Iterator[tuple[str, str]]:
     divided = re.split(r"[\s_]", left)[-1]
     if left and not set(left) & set("([{") and not is_unit(divided) and is_unit(right, quantity):
         yield right, left
-    words = re.findall(r"[^\s_,:;.]+", re.sub(r"\[\d+\]$", "", name))
-    for count in range(min(4, len(words)), 1, -1):
-        for joint in ("_", "/"):
-            text = joint.join(words[-count:])
-            if "/" in _key(text) and (unit_of(text, quantity) or (joint == "_" and is_unit(text))):
-                yield text, " ".join(words[:-count])
-    if words:
-        text, rest = words[-1], " ".join(words[:-1])
-        # A short word is a unit of another quantity by chance: x_cm is the centre of mass. `16 g` is a value.
-        known = unit_of(text, quantity) is not None or _is_other(_key(text), quantity) or "/" in text
-        spelt = is_unit(text, quantity) or (text == "G" and name.isupper())
-        named = any(map(str.isalpha, rest)) or (rest == "" and (text != "V" or quantity != "speed"))
-        if known and spelt and named and text not in ("in", "min", "d", "h"):
-            yield text, rest
+    words = re.findall(r"[^\s_,:;.]+", _BRACKETS_PATTERN.sub(" ", name))
+    yield from _last_words(words, name, quantity)
+    if words and "-" in words[-1]:
+        yield from _last_words(words[-1].split("-"), name, quantity)
+    if len(words) > 2 and _SUFFIX_PATTERN.fullmatch(words[-1]):
+        yield from _last_words(words[:-1], name, quantity)
     if name == "force_n":
         yield "N", "force"
     if "raw" in map(str.casefold, words):
         yield "raw", name
 
 
+def _last_words(words: list[str], name: str, quantity: Quantity) -> Iterator[tuple[str, str]]:
+    """Yield the units that the last words of a name may be, each with the words before it."""
+    for count in range(min(4, len(words)), 1, -1):
+        may_join = words[-count].casefold() in ("milli", "micro", "g")
+        for joint in ("_", "/"):
+            text = joint.join(words[-count:])
+            if (may_join or "/" in _key(text)) and (unit_of(text, quantity) or (joint == "_" and is_unit(text))):
+                yield text, " ".join(words[:-count])
+    if words:
+        text, rest = words[-1], " ".join(words[:-1])
+        # A short word is a unit of another quantity by chance: x_cm is the centre of mass. `16 g` is a value.
+        known = unit_of(text, quantity) is not None or _is_other(_key(text), quantity) or "/" in text
+        spelt = is_unit(text, quantity) or (text == "G" and (name.isupper() or words[-2:-1] == ["in"]))
+        named = any(map(str.isalpha, rest)) or (rest == "" and (text != "V" or quantity != "speed"))
+        if known and spelt and named and text != "in":
+            yield text, rest
+
+
 @lru_cache(maxsize=4096)
 def _key(text: str) -> str:
-    """Return one spelling of a unit: in lower case, without brackets, blanks and signs of powers and products."""
+    """Return one spelling of a unit: in lower case, without brackets, blanks and signs of powers and products.
+
+    The letter \u00e2 is left out, too: it is a part of a `\u00b2` or `\u00b5` in UTF-8 that was read as Latin-1.
+    """
     text = unicodedata.normalize("NFKC", text).casefold().strip()
     text = text.replace("\u2212", "-").replace("\u2215", "/").replace("\u03bc", "u")
-    text = re.sub(r"^in\s|[\s()\[\]{}\u00b7\u22c5*^._]|-(?=[a-z])", "", text)
+    text = re.sub(r"^in\s|[\s()\[\]{}\u00b7\u22c5*^._$\u00e2]|-(?=[a-z])", "", text)
     for pattern, symbol in _SPELLING_PATTERNS:
         text = re.sub(pattern, symbol, text)
     return text

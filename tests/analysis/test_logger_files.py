@@ -66,10 +66,15 @@ def refused(path: Path) -> str:
         ("a (mm s\u207b\u00b2)", 1e-3), ("a_mm_per_s2", 1e-3), ("a_mmps2", 1e-3), ("Accel..mm.s.2.", 1e-3),
         ("a (mm/s/s)", 1e-3), ("a (cm/sec^2)", 1e-2), ("a (millimeters per second squared)", 1e-3), ("g", G),
         ("a (g-force)", G), ("a(g) filtered", G), ("a (raw) (g)", G), ("a [in g]", G), ("a (mm/(s^2))", 1e-3),
-        ("Acc (g, filtered)", G), ("a (RMS mg)", 1e-3 * G),
+        ("Acc (g, filtered)", G), ("a (RMS mg)", 1e-3 * G), ("X (100g)", G), ("Acc (\u00b12g)", G), ("Acc in G", G),
+        ("ax_g (left)", G), ("Accel, g (LGR S/N: 123, SEN S/N: 123)", G), ("acc_mg_x", 1e-3 * G), ("ax_g.1", G),
+        ("ax_g_filtered", G), ("accel_x_milli_g", 1e-3 * G), ("acc-x-mg", 1e-3 * G), ("acc_g_force", G),
+        ("a (gRMS)", G), ("a_mm_s_2_1", 1e-3), ("a [mm/s$^2$]", 1e-3), ("a (mm/sek\u00b2)", 1e-3),
+        ("a (mm/s\u00c2\u00b2)", 1e-3), ("a (mm/s\ufffd)", 1e-3), ("a (mm/s\u00fd)", 1e-3),
         # No units.
         ("Acc (x)", 1), ("Acc (1)", 1), ("Acc (filtered)", 1), ("Acc (left)", 1), ("a_n", 1), ("acc_mm", 1), ("a_v", 1),
         ("Acc (s1)", 1), ("Acc (L/R)", 1), ("Acc (MA)", 1), ("Acc (min)", 1), ("ax_G", 1), ("16 g", 1), ("way[2]", 1),
+        ("Acceleration (without g)", 1), ("a (m/s^2) (g removed)", 1), ("Beschl. ohne g", 1), ("acc_wo_g", 1),
     ],
 )  # fmt: skip
 def test_a_unit_in_a_name_is_read(tmp_path: Path, name: str, scale: float) -> None:
@@ -86,6 +91,7 @@ def test_a_unit_of_time_in_a_name_is_read(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("quantity", "name", "scale"),
     [
+        ("position", "d (\u00b5)", 1e-6),
         ("force", "F_mN", 1e-3), ("force", "Fn [N]", 1), ("force", "F_n", 1), ("position", "x (\u00b5m)", 1e-6),
         ("position", "d [micron]", 1e-6), ("tangential_position", "s_mm", 1e-3), ("position", "Z (MM)", 1e-3),
     ],
@@ -139,6 +145,8 @@ def test_the_yaml_file_agrees_with_the_name(tmp_path: Path, name: str, given: st
         ("Acc (V)", "unit: g", "is in V by the name of its column 'Acc (V)', in g by "),
         ("CH1_V", "scale: -1", "unknown unit of acceleration 'V'"),
         ("Acc (counts)", "", "unknown unit of acceleration 'counts'"),
+        ("Measurement (VDC)", "", "unknown unit of acceleration 'VDC'"),
+        ("v (ips)", "", "unknown unit of acceleration 'ips'"),
         ("raw_ax", "", "unknown unit of acceleration 'raw'"),
         ("acc_dB", "", "unknown unit of acceleration 'dB'"),
         ("Acc (\u00b5g)", "", "unknown unit of acceleration '\u03bcg'"),
@@ -184,6 +192,24 @@ def test_an_accelerometer_with_a_line_of_other_units_is_refused(tmp_path: Path) 
         load_recording(path)
     path = written(tmp_path, ["sep=;", "Logger;7", "time_s;acceleration_m_per_s2", "s;m/s2"], rows(";", ","))
     assert load_recording(path).acceleration_m_per_s2 == pytest.approx(np.array(VALUES) - np.mean(VALUES))
+
+
+@pytest.mark.parametrize(
+    ("quantity", "name", "unit"),
+    [
+        ("force", "weight_g", "g"), ("force", "F (grams)", "grams"), ("force", "load_kilograms", "kilograms"),
+        ("force", "T (Nmm)", "Nmm"), ("position", "x_px", "px"), ("position", "angle (rad)", "rad"),
+    ],
+)  # fmt: skip
+def test_an_unknown_unit_of_a_quantity_is_refused(tmp_path: Path, quantity: str, name: str, unit: str) -> None:
+    beside = f"columns: {{time: {{column: 1}}, {quantity}: {{column: 2}}}}"
+    told = f"unknown unit of {quantity} '{unit}' by the name of its column '{name}', known: "
+    assert told in refused(written(tmp_path, [f"t,{name}"], rows(), beside))
+
+
+def test_times_in_minutes_are_refused(tmp_path: Path) -> None:
+    told = "unknown unit of time 'min' by the name of its column 'Time_min'"
+    assert told in refused(written(tmp_path, ["Time_min,a"], rows(), BY_NUMBER))
 
 
 # ---- Separators and preambles ----------------------------------------------------------------------------------------
@@ -266,9 +292,19 @@ Time (s),AI 1 (g)""".splitlines()
             "{time: {column: 4}, acceleration: {column: 5}}",
             1,
         ),
+        ([',"Acc Ave. (g)"'], rows(), "{time: {column: 1}, acceleration: {column: Acc Ave. (g)}}", G),
+        (["Mode,Detail,", "Waveform Data,"], rows(after=","), BY_NUMBER[9:], 1),
+        (["Sensor (10 mV/g),A", "Time (s),Acc (g)"], rows(), BY_NUMBER[9:], G),
+        (["# t [s] a [g]"], rows(" "), "{time: {column: 't [s]'}, acceleration: {column: 'a [g]'}}", G),
+        (["# t (ms), a (g)", "# recorded by me", "#"], rows(ms=True), BY_NUMBER[9:], G),
+        (["# t,a", "# ms,g", "# Rate: 1000 Hz, Range: 16 g"], rows(ms=True), BY_NUMBER[9:], G),
+        (["# t (ms), a (g)"], rows("\t", ms=True), BY_NUMBER[9:], G),
+        (["Logger 7", "# t (ms), a (g)"], rows(ms=True), BY_NUMBER[9:], G),
     ],
     ids=["LabVIEW", "Tektronix", "Dewesoft", "Pico", "Rigol", "units", "Siglent", "logger", "one line", "sep",
-         "no names", "types", "units above names", "two separators", "range", "blanks", "old Tektronix"],
+         "no names", "types", "units above names", "two separators", "range", "blanks", "old Tektronix", "PicoLog",
+         "GW Instek", "title with units", "numpy, blanks", "comment below names", "values below names", "tab",
+         "title above a comment"],
 )  # fmt: skip
 def test_a_preamble_is_skipped(tmp_path: Path, head: list[str], numbers: list[str], beside: str, scale: float) -> None:
     check_scale(written(tmp_path, head, numbers, beside and f"columns: {beside}"), scale)
@@ -288,11 +324,35 @@ def test_a_preamble_is_skipped(tmp_path: Path, head: list[str], numbers: list[st
         (["Time (s), Acc (g), Force (N)"], rows(";"), "end in neither names nor units"),
         (["a,b,c,d", "Volt,x,y,z"], [f"{row},1,2" for row in rows()], "end in neither names nor units"),
         (SI_NAMES, [*rows(), "Mean,0.5"], 'line 42 must hold numbers, holds "Mean"'),
+        (
+            [";SampleRate, 1000,Hz", ";Headers, time,Ax"],
+            rows(),
+            "line 3 must have 3 columns, as many as there are names, has 2; if the line above holds no names, set in",
+        ),
     ],
 )  # fmt: skip
 def test_lines_of_numbers_are_never_skipped(tmp_path: Path, head: list[str], numbers: list[str], told: str) -> None:
     path = written(tmp_path, head, numbers)
     assert told.replace("PATH", str(path)) in refused(path)
+
+
+DATED = [f"2026-01-01 12:00:00.{index:03d},{value}" for index, value in enumerate(VALUES)]
+
+
+@pytest.mark.parametrize("texts", ["", ",ok"], ids=["date", "date and state"])
+def test_a_column_beside_dates_is_read(tmp_path: Path, texts: str) -> None:
+    beside = "rate_hz: 1000\ncolumns: {acceleration: {column: 'ax [g]'}}"
+    numbers = [row + texts for row in DATED]
+    numbers[7:7] = ["# mark, 5" + texts]
+    path = written(tmp_path, [f"Time,ax [g]{texts}"], numbers, beside)
+    check_scale(path, G)
+
+
+@pytest.mark.parametrize("lost", [0, 1, 39])
+def test_a_lost_value_beside_dates_is_refused(tmp_path: Path, lost: int) -> None:
+    numbers = [*DATED[:lost], "2026-01-01 12:00:00.000,n/a", *DATED[lost + 1 :]]
+    path = written(tmp_path, ["Time,ax [g]"], numbers, "rate_hz: 1000\ncolumns: {acceleration: {column: 2}}")
+    assert f'line {lost + 2} must hold numbers, holds "n/a"' in refused(path)
 
 
 def test_skip_lines_leaves_lines_out(tmp_path: Path) -> None:
@@ -364,6 +424,8 @@ def test_a_wav_of_unknown_length_is_read_to_its_end(tmp_path: Path, content: byt
         (wav(0xFFFFFFFF, 0xFFFFFFFF, kind=b"RF64", before=ds64(2**33)), "is cut off: 80 of 8589934592 bytes"),
         (wav(36, 0, b""), "has 0"),
         (wav(48, 0, b"LIST\x04\0\0\0INFO"), "has 0"),
+        (wav(36, 0)[:36], "is damaged: a chunk `data`, which has the samples, was not found"),
+        (b"fLaC" + DATA, "is not a .wav: it begins with neither RIFF nor RIFX, RF64 or BW64"),
     ],
 )
 def test_a_wav_that_is_cut_off_or_empty_is_refused(tmp_path: Path, content: bytes, told: str) -> None:

@@ -375,7 +375,7 @@ def test_every_kind_of_wav(tmp_path: Path, kind: int, bits: int, extensible: boo
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (b"RIFF", "is damaged, or not a .wav of 8 to 32 bits or of floats"),
+        (b"riff", "is not a .wav: it begins with neither RIFF nor RIFX, RF64 or BW64"),
         (b"RIFF\0\0\0\0WAVE", "is damaged"),
         (riff(1, 16, bytes(200))[:-100], "is cut off: 100 of 200 bytes"),
         (riff(1, 16, bytes(101)), "is damaged"),

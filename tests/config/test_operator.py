@@ -163,6 +163,7 @@ POINTS = [[0.0, 0.01, 0.0], [0.5, -0.01, 0.02]]
         ("d.csv", "Stage: A, 3\nDate: Mon, 12:00\ny (mm),t_ms,load,X [cm]\n0,0,a,1\n20,500,b,-1\n", "linear"),
         ("e.csv", "Time\tx\ty\ns\tmm\tmm\n0\t10\t0\n0,5\t-10\t20\n", "linear"),
         ("f.csv", "# t_s,x_m,y_m\n0,0.01,0\n0.5,-1e-2,0.02\n", "linear"),
+        ("g.csv", "# t (ms) x (mm) y (mm)\n# by hand\n0 10 0\n500 -10 20\n", "linear"),
     ],
 )
 def test_a_file(tmp_path: Path, name: str, text: str, interpolation: str) -> None:

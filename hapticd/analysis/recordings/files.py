@@ -255,11 +255,13 @@ def _with_sizes(content: bytes) -> tuple[bytes, str]:
     A program that writes to a pipe does not know the sizes, and writes 0 or a number near 2 or 4 GiB instead. RF64 and
     BW64 hold the sizes in a chunk `ds64`, and are returned as RIFF. Raises ValueError if samples are missing.
     """
+    if content[:4] not in (b"RIFF", b"RIFX", b"RF64", b"BW64"):
+        raise ValueError("is not a .wav: it begins with neither RIFF nor RIFX, RF64 or BW64")
     order = ">" if content[:4] == b"RIFX" else "<"
     place, frame_bytes, ds64_size = 12, 1, 2**32 - 1
     while content[place : place + 4] != b"data":
         if place + 8 > len(content):
-            return content, ""
+            raise ValueError("is damaged: a chunk `data`, which has the samples, was not found")
         (size,) = struct.unpack_from(f"{order}I", content, place + 4)
         body = content[place + 8 : place + 24]
         if content[place : place + 4] == b"ds64":
