@@ -77,4 +77,6 @@ def daemon(machine: Machine, needs: Needs) -> Iterator[Finding]:
     if isinstance(connection, Mapping) and connection.get("resets_seen") is False:
         yield warn("daemon", *unseen_reset_text(str(connection["path"]), connection.get("foreign_effect_s")))
     if isinstance(faults, list) and faults:
-        yield warn("daemon", f"a fault holds the forces off: {', '.join(map(str, faults))}", "hapticd force on")
+        lost = isinstance(connection, Mapping) and connection.get("problem")
+        todo = f"the device is lost: {lost}" if lost else "hapticd force on"
+        yield warn("daemon", f"a fault holds the forces off: {', '.join(map(str, faults))}", todo)

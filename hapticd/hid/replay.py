@@ -73,7 +73,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
         # Other files, such as pipes, may block or have no end.
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise HapticdError(f"{name}: not a recording: not a regular file")
-        with open(path, encoding="utf-8") as file:
+        with open(path, encoding="utf-8-sig") as file:
             for number, line in enumerate(file, 1):
                 place = f"{name}:{number}"
                 if not line.strip():
@@ -86,7 +86,8 @@ def load(path: str | os.PathLike[str]) -> Recording:
     except OSError as error:
         raise HapticdError(f"{name}: {error.strerror}") from None
     except (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError) as error:
-        raise HapticdError(f"{place}: not a line of a recording: {collapse_whitespace(str(error))}") from None
+        why = collapse_whitespace(str(error))
+        raise HapticdError(f"{place}: not a line of a recording of `hapticd devices dump`: {why}") from None
     if recording is None or not reports:
         raise HapticdError(f"{name}: contains no reports; move the device while it is recorded")
     return replace(recording, reports=tuple(reports))

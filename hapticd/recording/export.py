@@ -34,7 +34,7 @@ import numpy.typing as npt
 
 from hapticd._version import __version__
 from hapticd.base.core import SAMPLE_DTYPE
-from hapticd.base.errors import HapticdError
+from hapticd.base.errors import HapticdError, collapse_whitespace
 from hapticd.base.files import atomic_file, write_atomically
 from hapticd.recording.event_columns import COMMON_EVENT_MEMBERS, EVENT_MEMBER_SCHEMAS, cell_of
 
@@ -84,11 +84,11 @@ def files_of(target: Path) -> list[Path]:
     try:
         for module in modules:
             importlib.import_module(module)
-    except ImportError:
+    except (ImportError, ValueError) as error:  # numpy raises ValueError for a package built for another numpy
         extra = modules[0].partition(".")[0]
-        raise HapticdError(
-            f"{target}: {target.suffix} needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
-        ) from None
+        broken = "" if isinstance(error, ModuleNotFoundError) else f" ({module}: {collapse_whitespace(str(error))})"
+        needs = f"needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
+        raise HapticdError(f"{target}: {target.suffix} {needs}{broken}") from None
     endings = ("events.csv", "about.json") if "pandas" in modules else ()
     return [*(target.with_name(f"{target.stem}.{ending}") for ending in endings), target]
 

@@ -130,8 +130,9 @@ class Replay:
             last = ("changes", "recording", "flight")
             first = {name: text for name, text in self.texts.items() if name not in last}
             writer.write_all(first, self.texts["changes"], self.samples, self.events)
-            about = dict(self.texts.get("recording") or {})
-            writer.finish({"recording": {name: about[name] for name in ("started", "ended") if name in about}})
+            about = self.texts.get("recording")
+            clocks = {name: about.get(name) for name in ("started", "ended")} if isinstance(about, dict) else {}
+            writer.finish({"recording": clocks})
 
     def to_dict(self) -> dict[str, object]:
         """Return the result of the replay as a mapping for JSON, without samples and events."""

@@ -453,7 +453,10 @@ def test_the_daemon(tmp_path: Path) -> None:
     status |= {"faults": ["device"], "realtime": {"missing": ["SCHED_FIFO priority 80: not permitted"]}}
     text = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
     assert "warn the daemon was not granted: SCHED_FIFO priority 80" in text
-    assert "warn a fault holds the forces off: device" in text
+    assert text.endswith("warn a fault holds the forces off: device -> hapticd force on")
+    status["connection"] = {"problem": "stick.jsonl: the recording is over", "resets_seen": None}
+    text = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
+    assert text.endswith("forces off: device -> the device is lost: stick.jsonl: the recording is over")
     status["connection"] = {"path": "/dev/hidraw3", "resets_seen": False, "foreign_effect_s": 0.0957}
     text = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
     assert (

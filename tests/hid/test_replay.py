@@ -62,27 +62,39 @@ HEAD = '{"recording": 1, "name": "a", "vendor": 1, "product": 2, "descriptor": "
     ("text", "message"),
     [
         ("", "contains no reports"),
-        ("hello\n", ":1: not a line of a recording: Expecting value: line 1 column 1 (char 0)"),
-        ("[]\n", ":1: not a line of a recording: "),
-        ("{}\n", ":1: not a line of a recording: the first line must have recording, name"),
-        ('{"recording": 2}\n', ":1: not a line of a recording: recording: must be version 1, is 2"),
+        (
+            "hello\n",
+            ":1: not a line of a recording of `hapticd devices dump`: Expecting value: line 1 column 1 (char 0)",
+        ),
+        ("[]\n", ":1: not a line of a recording of `hapticd devices dump`: "),
+        ("{}\n", ":1: not a line of a recording of `hapticd devices dump`: the first line must have recording, name"),
+        (
+            '{"recording": 2}\n',
+            ":1: not a line of a recording of `hapticd devices dump`: recording: must be version 1, is 2",
+        ),
         (
             '{"recording": 1, "name": "a", "descriptor": ""}\n',
-            ":1: not a line of a recording: the first line must have vendor, product",
+            ":1: not a line of a recording of `hapticd devices dump`: the first line must have vendor, product",
         ),
-        (HEAD.replace("0501", "05x"), ":1: not a line of a recording: non-hexadecimal number"),
+        (
+            HEAD.replace("0501", "05x"),
+            ":1: not a line of a recording of `hapticd devices dump`: non-hexadecimal number",
+        ),
         (HEAD, "contains no reports; move the device while it is recorded"),
         (
             HEAD + '[0.1, "01"]\n[0.05, "01"]\n',
-            ":3: not a line of a recording: the time must be between 0.1 and 1e+06 s, is 0.05",
+            ":3: not a line of a recording of `hapticd devices dump`: the time must be between 0.1 and 1e+06 s",
         ),
-        (HEAD + '["a", "01"]\n', ":2: not a line of a recording: could not convert string to float: 'a'"),
+        (
+            HEAD + '["a", "01"]\n',
+            ":2: not a line of a recording of `hapticd devices dump`: could not convert string to float: 'a'",
+        ),
         (HEAD + '[NaN, "01"]\n', "the time must be between 0 and 1e+06 s, is nan"),
-        (HEAD + '[0, "0"]\n', ":2: not a line of a recording: "),
+        (HEAD + '[0, "0"]\n', ":2: not a line of a recording of `hapticd devices dump`: "),
         (HEAD + '[0, ""]\n', "a report must have 1 to 4096 bytes, this one has 0"),
-        (HEAD + "[0]\n", ":2: not a line of a recording: "),
-        (HEAD + "{}\n", ":2: not a line of a recording: "),
-        (HEAD + f'[1{"0" * 400}, "01"]\n', ":2: not a line of a recording: "),
+        (HEAD + "[0]\n", ":2: not a line of a recording of `hapticd devices dump`: "),
+        (HEAD + "{}\n", ":2: not a line of a recording of `hapticd devices dump`: "),
+        (HEAD + f'[1{"0" * 400}, "01"]\n', ":2: not a line of a recording of `hapticd devices dump`: "),
         (HEAD + "[" * 50000 + "\n", ":2: "),
     ],
 )
@@ -91,6 +103,12 @@ def test_files_that_are_not_recordings(path: str, text: str, message: str) -> No
     with pytest.raises(HapticdError) as caught:
         load(path)
     assert str(caught.value).startswith(path) and message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_windows_editor_adds_a_mark_and_line_ends(path: str) -> None:
+    save(path, moving(), False)
+    Path(path).write_bytes(b"\xef\xbb\xbf" + Path(path).read_bytes().replace(b"\n", b"\r\n"))
+    assert load(path) == moving()
 
 
 def test_no_file(path: str) -> None:

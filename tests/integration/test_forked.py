@@ -20,6 +20,9 @@ from hapticd.base.errors import HapticdError
 from tests.support.daemon_process import Daemon, connect, running_daemon
 from tests.support.fake_daemon import fake_daemon, result
 
+# On a busy machine the daemon turns its forces off (fault `control`), and the end of a stream of forces says so.
+pytestmark = pytest.mark.filterwarnings("ignore::hapticd.ForcesOff")
+
 HANGS_S = 10
 """A child is killed after this time; it only ends tests that fail."""
 REFUSED = f"this client belongs to process {os.getpid()}: connect again"

@@ -20,6 +20,7 @@ import hapticd
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.cli import main
+from hapticd.recording.export import files_of
 from hapticd.recording.recording import recording_into
 from hapticd.recording.writer import RecordingWriter
 from tests.recording.test_writer import EVENTS, MARKS, some
@@ -292,6 +293,25 @@ def test_every_command_that_exports_names_a_missing_extra_in_one_line(
     assert main(command.format(f"run.{ending}").split()) == 1
     needs = f"run.{ending}: .{ending} needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
     assert capsys.readouterr().err == f"hapticd: {needs}\n" and os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("ending", "package", "text", "shown"),
+    [
+        ("csv", "pandas", "raise ValueError('numpy.dtype size changed')", "pandas: numpy.dtype size changed"),
+        ("csv", "pandas", "raise ImportError('No dependencies:\\npytz')", "pandas: No dependencies: pytz"),
+        ("mcap", "zstandard", "raise ImportError('libzstd.so.1: not found')", "zstandard: libzstd.so.1: not found"),
+    ],
+)
+def test_a_broken_package_is_refused_with_its_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str, package: str, text: str, shown: str
+) -> None:
+    (tmp_path / f"{package}.py").write_text(f"{text}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, package, raising=False)
+    with pytest.raises(HapticdError) as caught:
+        files_of(Path(f"run.{ending}"))
+    assert str(caught.value).endswith(f"' ({shown})")
 
 
 def test_samples_are_laid_out_as_cdr_is() -> None:

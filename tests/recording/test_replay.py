@@ -277,6 +277,16 @@ def test_a_rendered_recording_keeps_the_time_of_day(tmp_path: Path) -> None:
     assert np.array_equal(again.utc(), load(tmp_path / "run.npz").utc())
 
 
+@pytest.mark.parametrize("about", [None, [1], "stopped"])
+def test_a_recording_without_an_account_is_rendered_and_written(tmp_path: Path, about: object) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    run = render_run(config, strokes(1.0)[:100], RATE_HZ)
+    write(tmp_path / "run.npz", run.samples, config, texts={"recording": about})
+    replay(tmp_path / "run.npz").write(tmp_path / "again.npz")
+    again = load(tmp_path / "again.npz")
+    assert len(again.samples) == 100 and again.started is None
+
+
 def test_a_replay_begins_at_a_tick_without_effects_of_earlier_ticks(tmp_path: Path) -> None:
     config = {"scene": {"objects": {"floor": FLOOR}}}
     run = render_run(config, strokes(1.0), RATE_HZ)

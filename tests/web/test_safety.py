@@ -118,12 +118,18 @@ SHOW_SIGNS = """(signs) => {
 }"""
 
 
-def test_forces_that_are_held_back_say_what_the_person_is_to_do(page: Page) -> None:
-    page.wait_for_function(ON)
+def test_forces_that_are_held_back_say_what_the_person_is_to_do(held: Page) -> None:
     advice = "the device exerts no force because its safety switch is open: hold the handle lightly"
-    assert page.evaluate(SHOW_SIGNS, {"state": "waiting", "advice": advice}) == advice
-    assert "let go of the handle" in page.evaluate(SHOW_SIGNS, {"state": "checking", "advice": None})
-    assert page.evaluate(SHOW_SIGNS, {"state": "right", "advice": None}) == ""
+    assert held.evaluate(SHOW_SIGNS, {"state": "waiting", "advice": advice}) == advice
+    assert "let go of the handle" in held.evaluate(SHOW_SIGNS, {"state": "checking", "advice": None})
+    assert held.evaluate(SHOW_SIGNS, {"state": "right", "advice": None}) == ""
+
+
+def test_a_replay_that_pauses_is_not_said_to_be_over(page: Page) -> None:
+    said = """async (state) => (await import("/static/status_words.js")).faultText(
+      "device", { status: { device: "replay", connection: { state } } })"""
+    assert page.evaluate(said, "connected") == "The recording of the joystick has a pause without reports."
+    assert page.evaluate(said, "lost").startswith("The recording of the joystick is over.")
 
 
 def test_a_tab_that_is_closed_lets_the_force_fade_within_the_lease(held: Page, pages: Pages) -> None:

@@ -16,7 +16,9 @@ export function faultText(fault, model) {
     return `The machine missed ${percent} of a second's periods. Close what else runs on it, or lower servo.rate_hz.`;
   }
   if (fault === "device" && model.status.device === "replay") {
-    return "The recording of the joystick is over. Restart the daemon, or set device.replay.loop.";
+    return model.status.connection?.state === "lost"
+      ? "The recording of the joystick is over. Restart the daemon, or set device.replay.loop."
+      : "The recording of the joystick has a pause without reports.";
   }
   if (fault === "signs") {
     return model.status.connection?.signs?.advice ?? "The check of the joystick's directions failed.";
