@@ -342,7 +342,7 @@ def test_the_problem_of_the_daemon_is_shown_at_its_field(page: Page, scene: Any)
     before = materials(scene)
     found = pick(page, "materials", "comb")
     for path, text, problem in (
-        ("stiffness_n_per_m", "-5", "Must be at least 0, is -5. In force: 800 N/m"),
+        ("stiffness_n_per_m", "-5", "Should be greater than or equal to 0, is -5. In force: 800 N/m"),
         ("texture.width_m", "500", "Width_m must be at most spacing_m, 0.002, is 0.5 (in m). In force: 0.5 mm"),
         ("texture.decay_time_s", "much", "Must be a number"),
     ):
