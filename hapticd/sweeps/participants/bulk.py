@@ -19,7 +19,7 @@ from hapticd.sweeps.worker_check import code_version
 
 PARTICIPANT_COLUMN: Final = Column("participant", "text", "varied", description="Label of the participant.")
 """The only varied column of a row."""
-_COLUMNS: Final = (POINT_COLUMN, PARTICIPANT_COLUMN, *SESSION_COLUMNS, ERROR_COLUMN)
+_ROW_COLUMNS: Final = (POINT_COLUMN, PARTICIPANT_COLUMN, *SESSION_COLUMNS, ERROR_COLUMN)
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Sessions:
 
     def _row(self, point: str, label: str) -> Row:
         given = {POINT_COLUMN.name: point, PARTICIPANT_COLUMN.name: label}
-        return row_of(_COLUMNS, given, lambda: session_values(self.study, label, self.session, self.seed))
+        return row_of(_ROW_COLUMNS, given, lambda: session_values(self.study, label, self.session, self.seed))
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Participants:
     @property
     def columns(self) -> tuple[Column, ...]:
         """The columns of every row, in order."""
-        return _COLUMNS
+        return _ROW_COLUMNS
 
     @property
     def points(self) -> dict[str, str]:
