@@ -40,12 +40,12 @@ class UnitError(FitError):
     """The unit or the sign of a recording seems wrong, probably in all recordings of the same set."""
 
 
-def require_scipy(what: str = "fitting recordings") -> None:
-    """Raise HapticdError if scipy is missing; `what` names the feature that needs it."""
+def require_scipy(what: str = "fitting recordings", extra: str = "fit") -> None:
+    """Raise HapticdError if scipy is missing; `what` names the feature that needs it, `extra` the extra with it."""
     try:
         import scipy  # noqa: F401
     except ImportError:
-        raise HapticdError(f"{what} needs scipy: pip install 'hapticd[fit]'") from None
+        raise HapticdError(f"{what} needs scipy: pip install 'hapticd[{extra}]'") from None
 
 
 @dataclass(frozen=True, slots=True)

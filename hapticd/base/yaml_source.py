@@ -10,7 +10,7 @@ PyYAML only tokenises; data is built here from its events, without recursion.
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
@@ -86,6 +86,13 @@ class Document:
     def below(self, key: str) -> "Document":
         """Return a document in which this one is the value of `key`; lines and columns stay the same."""
         return replace(self, data={key: self.data}, _above=(key, *self._above))
+
+    def mapping(self, known: Iterable[str]) -> dict[str, Json]:
+        """Return the data, which must be a mapping. Raises InvalidError, which lists the keys `known`, otherwise."""
+        if isinstance(self.data, dict):
+            return self.data
+        text = "is empty" if self.data is None else "must be a mapping"
+        raise InvalidError([self.problem((), f"{text}; known keys: {', '.join(known)}")])
 
     def problem(self, path: Sequence[str | int], text: str) -> Problem:
         """Return the fault `text` of the value at `path`, with its place in the file."""

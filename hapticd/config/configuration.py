@@ -354,10 +354,7 @@ def config_of_documents(documents: Sequence[Document]) -> Config:
     merged = Merged()
     for given in documents:
         document = _as_configuration(given)
-        if not isinstance(document.data, dict):
-            text = "is empty" if document.data is None else "must be a mapping"
-            raise InvalidError([Problem(document.where(()), f"{text}; known keys: {', '.join(Config.model_fields)}")])
-        merged.add(document, document.data)
+        merged.add(document, document.mapping(Config.model_fields))
     for path in _PATH_KEYS:
         merged.make_absolute(path)
     try:

@@ -3,7 +3,7 @@
 Design of a study:
 
     keys              the keys of a study's YAML file, each with its range
-    plain_values      pydantic types that accept YAML values unchanged
+    plain_values      pydantic types of values in YAML
     key_paths         the base of a study or sweep, and changes of it by the paths of its keys
     study             loads a study, and reports every fault with its line
     faults            conflicts between the keys of a study

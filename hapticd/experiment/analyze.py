@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hapticd.analysis.statistics import require_scipy
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
@@ -53,20 +54,12 @@ class Analysis:
         }
 
 
-def require() -> None:
-    """Raise HapticdError if scipy, which the analysis of experiments needs, is not installed."""
-    try:
-        import scipy  # noqa: F401
-    except ImportError:
-        raise HapticdError("the analysis of experiments needs scipy: pip install 'hapticd[experiment]'") from None
-
-
 def analyze(folders: Sequence[Path]) -> Analysis:
     """Analyze every session in the folders and their subfolders.
 
     Raises HapticdError if the tables of answers cannot be read, belong to several studies, or have no trial to analyze.
     """
-    require()
+    require_scipy("the analysis of experiments", "experiment")
     return analysis_of(read_behaviour(folders))
 
 

@@ -13,7 +13,7 @@ from hapticd.experiment.analysis.bradley_terry import Scale, bradley_terry
 from hapticd.experiment.analysis.confusion import confusion, information
 from hapticd.experiment.analysis.order_matrices import order_matrix, rank_correlation
 from hapticd.experiment.analysis.participants import quartiles
-from hapticd.experiment.analysis.proportions import proportion
+from hapticd.experiment.analysis.proportions import Proportion, proportion
 from hapticd.experiment.behaviour import Row, StudyFacts
 from hapticd.experiment.published_tables import PublishedResults
 from hapticd.experiment.results import Cell, Dots, Matrices, ResultTable, Section
@@ -39,7 +39,7 @@ def cells(rows: Sequence[Row], facts: StudyFacts) -> Section:
     listed: list[tuple[Cell, ...]] = []
     for (condition, cell), right in sorted(groups.items()):
         found = proportion(sum(right), len(right), facts.chance)
-        listed.append((condition, cell, *_percent_cells(sum(right), len(right), facts.chance), found.p_value))
+        listed.append((condition, cell, *_percent_cells(found), found.p_value))
     head = ("condition", "cell", "trials", "correct", "correct, %", *_WILSON_COLUMNS, "p of chance")
     return Section((ResultTable("cells", "Answers in each cell", head, tuple(listed), _chance_note(facts)),))
 
@@ -60,8 +60,8 @@ def conditions(rows: Sequence[Row], facts: StudyFacts, published: PublishedResul
             continue
         found = quartiles([100.0 * sum(each) / len(each) for each in right.values()])
         pooled = [each for answers in right.values() for each in answers]
-        trials, _, *percent = _percent_cells(sum(pooled), len(pooled), facts.chance)
         test = proportion(sum(pooled), len(pooled), facts.chance)
+        trials, _, *percent = _percent_cells(test)
         in_paper = published.quartiles.get(condition)
         own_quartiles = found.median, found.low, found.high
         paper_cells = (in_paper or (None,) * 3) if published.quartiles else ()
@@ -224,9 +224,8 @@ def _sortable(name: str) -> tuple[float, str]:
         return float("inf"), name
 
 
-def _percent_cells(right: int, trials: int, chance: float | None) -> tuple[Cell, ...]:
-    found = proportion(right, trials, chance)
-    return trials, right, 100 * found.value, 100 * found.low, 100 * found.high
+def _percent_cells(found: Proportion) -> tuple[Cell, ...]:
+    return found.trials, found.successes, 100 * found.value, 100 * found.low, 100 * found.high
 
 
 def _chance_note(facts: StudyFacts) -> str:

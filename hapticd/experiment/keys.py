@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, Strict, StringConstraints
 
 from hapticd.base.model import CheckedTogether, Model, Name, one_of_two
 from hapticd.experiment.order import OrderKind
-from hapticd.experiment.plain_values import PlainMapping, PlainScalar, Scalar
+from hapticd.experiment.plain_values import KeyPath, PlainMapping, PlainScalar, Scalar, as_list
 from hapticd.experiment.procedures.constant_stimuli import ConstantStimuliParameters
 from hapticd.experiment.procedures.quest_plus import QuestPlusParameters
 from hapticd.experiment.procedures.staircase import StaircaseParameters
@@ -34,16 +34,11 @@ MAX_FACTOR_LEVELS: Final = 10_000
 """Largest number of levels of a factor."""
 
 
-def _as_list(value: object) -> object:
-    return [value] if isinstance(value, str) else value
-
-
 Level: TypeAlias = PlainScalar
 Patch: TypeAlias = PlainMapping
 """A merge patch (RFC 7396) on the base configuration."""
-KeyPath: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=512)]
 KeyPaths: TypeAlias = Annotated[
-    tuple[KeyPath, ...], Strict(False), Field(min_length=1, max_length=64), BeforeValidator(_as_list)
+    tuple[KeyPath, ...], Strict(False), Field(min_length=1, max_length=64), BeforeValidator(as_list)
 ]
 Markdown: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=100_000)]
 Label: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=200)]

@@ -20,6 +20,7 @@ from hapticd.config.configuration import Config
 from hapticd.experiment.event_codes import EventCode
 from hapticd.experiment.stage import Motion, Samples, Telemetry, until
 from hapticd.protocol.events import event_map
+from hapticd.recording.simulated import write_run
 from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.offline import Run, simulate_run
 
@@ -117,23 +118,9 @@ class OfflineStage:
 
     def _write(self, target: Path, notes: Mapping[str, Json]) -> None:
         assert self._config is not None
-        telemetry, run = self.telemetry(), self._parts[0]
-        servo = self._config.servo.model_copy(update={"rate_hz": run.rate_hz})
-        texts = {
-            "config": {"servo": servo.to_dict(), "device": self._config.device.to_dict()},
-            "scene": self._config.scene.to_dict(),
-            "materials": {name: material.to_dict() for name, material in self._config.materials.items()},
-        }
-        about = {
-            "ticks": len(telemetry.samples),
-            "duration_s": len(telemetry.samples) / run.rate_hz,
-            "events": len(telemetry.events),
-            "missed_periods": 0,
-            "notes": dict(notes),
-        }
+        run = self.telemetry()
         with RecordingWriter(target) as writer:
-            writer.write_all(texts, [{"revision": 1}], telemetry.samples, iter(telemetry.events))
-            writer.finish({"recording": about})
+            write_run(writer, self._config, self._parts[0].rate_hz, run.samples, run.events, notes)
 
 
 def _shifted(event: Any, run: Run, ticks: int, time_ns: int) -> dict[str, Any]:

@@ -1,11 +1,11 @@
-"""Pydantic types that accept YAML values unchanged: a finite scalar, and a mapping of plain data."""
+"""Pydantic types of values in YAML: a finite scalar, a mapping of plain data, a path of keys."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from pydantic import PlainValidator
+from pydantic import PlainValidator, StringConstraints
 
 from hapticd.base.errors import shown
 from hapticd.base.model import plain
@@ -35,6 +35,13 @@ def mapping_of(value: object) -> dict[str, Json]:
     return found
 
 
+def as_list(value: object) -> object:
+    """Return a list with `value` if `value` is a string, otherwise `value`: one item may stand for its list."""
+    return [value] if isinstance(value, str) else value
+
+
+KeyPath: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=512)]
+"""A path of keys, such as materials.wood.tap.frequency_hz."""
 PlainScalar: TypeAlias = Annotated[Scalar, PlainValidator(scalar_of)]
 if TYPE_CHECKING:
     PlainMapping: TypeAlias = dict[str, Json]

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.errors import HapticdError
+from hapticd.analysis.statistics import require_scipy
 from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
 
 SIMULATED_EXPERIMENTS: Final = 4000
@@ -74,10 +74,9 @@ def power_of_difference(effect: DifferenceEffect, pairs: int, seed: int = _SIMUL
 
     Raises HapticdError if scipy is not installed.
     """
-    try:
-        from scipy.special import stdtrit
-    except ImportError:
-        raise HapticdError("the power of a difference needs scipy: pip install 'hapticd[experiment]'") from None
+    require_scipy("the power of a difference", "experiment")
+    from scipy.special import stdtrit
+
     generator = np.random.default_rng(seed)
     size = (SIMULATED_EXPERIMENTS, effect.participants)
     deviation = math.hypot(effect.between, effect.standard_deviation / math.sqrt(pairs))

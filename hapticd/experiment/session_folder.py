@@ -22,7 +22,7 @@ from typing import Final, cast
 from hapticd.base.errors import HapticdError, quoted
 from hapticd.base.files import check_regular, write_atomically
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.session_log import Contents, SessionLog, read_log, sync_folder
+from hapticd.experiment.session_log import Contents, SessionLog, read_file, read_log, sync_folder
 
 STUDY_FILE_NAME: Final = "study.yaml"
 PLAN_FILE_NAME: Final = "plan.json"
@@ -129,7 +129,7 @@ class SessionFolder:
                 f"{path}: not the folder of a session: it has no {LOG_FILE_NAME}; give one such as sub-P07/ses-01"
             )
         return cls(
-            path, _read(path / STUDY_FILE_NAME), _mapping(path / PLAN_FILE_NAME), _mapping(path / SESSION_FILE_NAME)
+            path, read_file(path / STUDY_FILE_NAME), _mapping(path / PLAN_FILE_NAME), _mapping(path / SESSION_FILE_NAME)
         )
 
     @property
@@ -178,16 +178,9 @@ def _json(value: object) -> bytes:
     return json.dumps(value, ensure_ascii=False, indent=1, allow_nan=False).encode() + b"\n"
 
 
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise HapticdError(f"{path}: cannot be read: {error.strerror}") from None
-
-
 def _mapping(path: Path) -> dict[str, Json]:
     try:
-        found = json.loads(_read(path))
+        found = json.loads(read_file(path))
     except ValueError as error:
         raise HapticdError(f"{path}: not valid JSON: {error}; restore the file from a copy") from None
     if not isinstance(found, dict):

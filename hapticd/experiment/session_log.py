@@ -104,11 +104,15 @@ def _record(line: bytes, crc: int, number: int) -> tuple[Record, int] | None:
 
 def read_log(path: Path) -> Contents:
     """Read the log at `path` without changing it. Raises HapticdError if it is damaged or cannot be read."""
+    return decoded(read_file(path), str(path))
+
+
+def read_file(path: Path) -> bytes:
+    """Return the content of a file of a session. Raises HapticdError if it cannot be read."""
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise HapticdError(f"{path}: cannot be read: {error.strerror}") from None
-    return decoded(data, str(path))
 
 
 def lines_of(records: Iterable[Mapping[str, Json]]) -> bytes:

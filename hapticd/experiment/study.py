@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 from pydantic import ValidationError
 
-from hapticd.base.errors import InvalidError, Problem
 from hapticd.base.model import faults_of, plain
 from hapticd.base.yaml_source import Document, load_path
 from hapticd.config.document_kinds import refuse_other_kinds
@@ -43,11 +42,7 @@ def study_of(data: Mapping[str, object]) -> Study:
 
 def study_of_document(document: Document) -> Study:
     """Validate a study in a YAML document. Raises InvalidError with the file, line and key of every fault."""
-    data = document.data
-    if not isinstance(data, dict):
-        text = "is empty" if data is None else "must be a mapping"
-        known = ", ".join(Study.model_fields)
-        raise InvalidError([Problem(document.where(()), f"{text}; known keys: {known}")])
+    data = document.mapping(Study.model_fields)
     given, base = with_base(document, data, "scene and materials", "change", "scene", "materials")
     try:
         study = Study.parsed(given)

@@ -184,7 +184,7 @@ class TextFront:
             case "choice":
                 return self._choice(shown.answers, stage, deadline)
             case "measure":
-                return self._wait_for_key(_ENTER_KEY, "Press Enter when you are done.", stage, deadline)
+                return self._reply_by_enter("Press Enter when you are done.", stage, deadline)
             case _:
                 return self._typed(shown, stage, deadline)
 
@@ -228,16 +228,16 @@ class TextFront:
         self._console.print(Markdown(text.strip()))
 
     def _wait_for_enter(self, text: str, stage: Stage | None = None, until: float = math.inf) -> Command | None:
-        typed = self._wait_for_key(_ENTER_KEY, text, stage, until)
+        typed = self._reply_by_enter(text, stage, until)
         return typed if isinstance(typed, Command) else None
 
-    def _wait_for_key(self, key: str, text: str, stage: Stage | None, deadline: float) -> Reply | Command:
+    def _reply_by_enter(self, text: str, stage: Stage | None, deadline: float) -> Reply | Command:
         self._say(text)
         with self._keys.single():
             while (typed := self._next(stage, deadline)) is not None:
                 if isinstance(typed, Command):
                     return typed
-                if typed in (key, ""):
+                if typed in (_ENTER_KEY, ""):
                     return Reply(None)
         return Reply(None, timed_out=True)
 

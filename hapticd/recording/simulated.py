@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hapticd.base.core import EventKind
 from hapticd.base.yaml_source import load_path
@@ -16,8 +17,8 @@ from hapticd.config.configuration import Config, load_config
 from hapticd.config.document_kinds import refuse_other_kinds
 from hapticd.protocol.events import event_map
 from hapticd.recording.recording import recording_into
-from hapticd.recording.writer import RecordingWriter
-from hapticd.rendering.offline import Run, simulate_run
+from hapticd.recording.writer import RecordingWriter, Samples
+from hapticd.rendering.offline import simulate_run
 
 
 def simulate_files(
@@ -40,7 +41,9 @@ def simulate_files(
         config = configuration(scene)
         run = simulate_run(config, operator_file, duration_s, rate_hz)
         if writer is not None:
-            _write(writer, config, run, notes or {})
+            objects = run.objects
+            events = [event_map(each, objects.get((int(each["slot"]), int(each["generation"])))) for each in run.events]
+            write_run(writer, config, run.rate_hz, run.samples, events, notes or {}, run.truth)
     magnitudes = np.hypot(*run.samples["force_n"].T)
     return {
         "file": output,
@@ -54,19 +57,26 @@ def simulate_files(
     }
 
 
-def _write(writer: RecordingWriter, config: Config, run: Run, notes: Mapping[str, str]) -> None:
-    servo = config.servo.model_copy(update={"rate_hz": run.rate_hz})
+def write_run(
+    writer: RecordingWriter,
+    config: Config,
+    rate_hz: float,
+    samples: Samples,
+    events: Sequence[Mapping[str, Any]],
+    notes: Mapping[str, object],
+    truth: npt.NDArray[np.float64] | None = None,
+) -> None:
+    """Write a simulated run as a recording and finish it. `rate_hz` replaces the rate of the configuration."""
+    servo = config.servo.model_copy(update={"rate_hz": rate_hz})
     texts = {
         "config": {"servo": servo.to_dict(), "device": config.device.to_dict()},
         "scene": config.scene.to_dict(),
         "materials": {name: material.to_dict() for name, material in config.materials.items()},
     }
-    events = (event_map(event, run.objects.get((int(event["slot"]), int(event["generation"])))) for event in run.events)
-    writer.write_all(texts, [{"revision": 1}], run.samples, events)
-    ticks = len(run.samples)
-    held = {"ticks": ticks, "duration_s": ticks / run.rate_hz, "events": len(run.events)}
+    writer.write_all(texts, [{"revision": 1}], samples, events)
+    held = {"ticks": len(samples), "duration_s": len(samples) / rate_hz, "events": len(events)}
     about = {**held, "missed_periods": 0, "notes": dict(notes)}
-    writer.finish({"recording": about}, {} if run.truth is None else {"truth": run.truth})
+    writer.finish({"recording": about}, {} if truth is None else {"truth": truth})
 
 
 def configuration(path: str) -> Config:

@@ -10,7 +10,7 @@ from typing import Annotated, Final, Literal, TypeAlias
 from pydantic import BeforeValidator, Field, Strict, StringConstraints
 
 from hapticd.base.model import CheckedTogether
-from hapticd.experiment.plain_values import PlainScalar
+from hapticd.experiment.plain_values import PlainScalar, as_list
 
 FigureKind: TypeAlias = Literal["map", "line", "table"]
 ColumnName: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=512)]
@@ -20,14 +20,10 @@ MAX_FIGURE_COLUMNS: Final = 12
 """Largest number of columns in one figure."""
 
 
-def _as_columns(value: object) -> object:
-    return [value] if isinstance(value, str) else value
-
-
 Columns: TypeAlias = Annotated[
     tuple[ColumnName, ...],
     Strict(False),
-    BeforeValidator(_as_columns),
+    BeforeValidator(as_list),
     Field(min_length=1, max_length=MAX_FIGURE_COLUMNS),
 ]
 

@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, PlainValidator, Strict, StringConst
 from hapticd.base.errors import shown
 from hapticd.base.model import CheckedTogether, Model, Name
 from hapticd.base.yaml_source import Json
-from hapticd.experiment.plain_values import PlainMapping, PlainScalar, mapping_of
+from hapticd.experiment.plain_values import KeyPath, PlainMapping, PlainScalar, mapping_of
 from hapticd.sweeps.figure_keys import SweepFigure, Words
 
 Combine: TypeAlias = Literal["crossed", "zipped", "latin_hypercube", "random"]
@@ -37,7 +37,6 @@ def _as_axis(value: object) -> object:
     return {"values": value} if isinstance(value, list | tuple) else value
 
 
-KeyPath: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=512)]
 Number: TypeAlias = Annotated[float, Field(ge=-1e15, le=1e15)]
 if TYPE_CHECKING:
     Measured: TypeAlias = "str | dict[str, Json]"

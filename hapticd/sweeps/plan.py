@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.errors import HapticdError, Path, collapse_whitespace
+from hapticd.base.errors import Path
 from hapticd.base.yaml_source import Json
 from hapticd.config.schema import unit_of
 from hapticd.experiment.key_paths import path_of, with_value
 from hapticd.sweeps.axes import Axis, axes_of, settings, shown_value
-from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Kind, Row, Value
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Kind, Row, Value, row_of
 from hapticd.sweeps.identity import sum_of, sums_at
 from hapticd.sweeps.keys import Run, SweepStudy
 from hapticd.sweeps.point import DURATION_KEY, OPERATOR_KEY, PARAMETERS_KEY, Point
@@ -81,14 +81,9 @@ class Job:
         shown = {
             name: shown_value(value, kind) for name, kind, value in zip(self.names, self.kinds, values, strict=True)
         }
-        row: Row = dict.fromkeys(column.name for column in self.columns)
-        row |= {POINT_COLUMN.name: point, **shown}
-        try:
-            document = self.document(values)
-            row |= self._measured(document) if self.study.refine is None else self._refined(document)
-        except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR_COLUMN.name] = collapse_whitespace(str(error)) or type(error).__name__
-        return row
+        measured = self._measured if self.study.refine is None else self._refined
+        given = {POINT_COLUMN.name: point, **shown}
+        return row_of(self.columns, given, lambda: measured(self.document(values)))
 
     def _measured(self, document: Mapping[str, Json]) -> Row:
         point = Point(document, self.run)

@@ -47,11 +47,8 @@ def load_sweep(source: Mapping[str, object] | str | os.PathLike[str]) -> Plan:
 
 
 def _load(document: Document) -> Plan:
-    data = document.data
-    if not isinstance(data, dict):
-        text = "is empty" if data is None else "must be a mapping"
-        raise InvalidError([Problem(document.where(()), f"{text}; known keys: {', '.join(SweepStudy.model_fields)}")])
-    data, base = with_base(document, data, "a configuration", "configuration", "change", "scene", "materials")
+    given = document.mapping(SweepStudy.model_fields)
+    data, base = with_base(document, given, "a configuration", "configuration", "change", "scene", "materials")
     _with_operator(document, data)
     _with_functions(document, data)
     try:

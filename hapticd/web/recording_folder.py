@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.yaml_source import Json, printable
+from hapticd.base.yaml_source import printable
 
 MAX_RECORDING_NAME_CHARACTERS: Final = 64
 """Longest name of a recording, without its ending."""
@@ -67,10 +67,6 @@ class Listed:
     """Size of the file, in bytes."""
     modified_ns: int
     """Time at which the file was finished, in ns since 1970."""
-
-    def to_dict(self) -> dict[str, Json]:
-        """Return the recording as a map for a page."""
-        return {"name": self.name, "size": self.size, "modified_ns": self.modified_ns}
 
 
 class RecordingFolder:

@@ -6,6 +6,7 @@ import asyncio
 import os
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote
@@ -70,7 +71,7 @@ class Recordings:
         listed = await asyncio.to_thread(self._folder.list)
         return {
             "folder": os.fspath(self._folder.path),
-            "recordings": [each.to_dict() for each in listed],
+            "recordings": [asdict(each) for each in listed],
             "free_bytes": self._folder.free_bytes(),
         }
 

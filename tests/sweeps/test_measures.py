@@ -14,7 +14,7 @@ from hapticd.base.errors import HapticdError, InvalidError
 from hapticd.config.materials import shipped_materials
 from hapticd.sweeps.columns import Row
 from hapticd.sweeps.keys import Run
-from hapticd.sweeps.measures.registry import known_measures, parse_measure
+from hapticd.sweeps.measures.registry import MEASURE_CLASSES, parse_measure
 from hapticd.sweeps.point import Point
 from tests.sweeps.results_of import FLOOR
 
@@ -141,7 +141,7 @@ def test_every_column_of_a_measure_has_a_description() -> None:
         "displayed_materials": {"materials": ["wood"]},
         "function": {"call": "module:name", "columns": {"x": "N"}},
     }
-    for name in known_measures():
+    for name in MEASURE_CLASSES:
         for column in parse_measure({name: options.get(name, {})}).columns:
             assert column.role == "measured" and column.description.endswith("."), name
 

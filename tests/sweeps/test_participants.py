@@ -18,7 +18,7 @@ from hapticd.experiment.session_log import read_log
 from hapticd.experiment.study import study_of
 from hapticd.sweeps.participants import bulk
 from hapticd.sweeps.participants.bulk import Participants
-from hapticd.sweeps.participants.one_session import records_of, row_of
+from hapticd.sweeps.participants.one_session import records_of, session_values
 from tests.experiment.sessions import STUDY
 
 LABELS = numbered("simA", 3)
@@ -144,7 +144,7 @@ def test_the_identity_of_a_participant_has_all_that_the_session_depends_on(chang
 
 @pytest.mark.long
 def test_a_row_counts_the_answers_in_its_log() -> None:
-    row = row_of(study_of(STUDY), LABELS[0], 1, 1)
+    row = session_values(study_of(STUDY), LABELS[0], 1, 1)
     records = records_of(row)
     answers = [each for each in records if each["kind"] == "answer"]
     assert row["answered"] == len(answers) > 0 and records[0]["kind"] == "session_started"
@@ -152,7 +152,7 @@ def test_a_row_counts_the_answers_in_its_log() -> None:
     # A stimulus that is compared with itself has no correct answer.
     right = [each["correct"] for each in answers if each["correct"] is not None]
     assert row["correct"] == np.mean(np.array(right, float))
-    assert row == row_of(study_of(STUDY), LABELS[0], 1, 1) != row_of(study_of(STUDY), LABELS[1], 1, 1)
+    assert row == session_values(study_of(STUDY), LABELS[0], 1, 1) != session_values(study_of(STUDY), LABELS[1], 1, 1)
 
 
 def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,7 +161,7 @@ def test_a_participant_that_cannot_be_simulated_is_a_row_with_the_reason(monkeyp
             raise HapticdError("no hand\nfor this")
         return {"trials": 1, "answered": 1, "correct": None, "duration_s": 1.0, "log": "[]"}
 
-    monkeypatch.setattr(bulk, "row_of", fails)
+    monkeypatch.setattr(bulk, "session_values", fails)
     rows = Participants(study_of(STUDY), 1, 1, LABELS).piece(np.arange(3)).rows()
     assert [row["error"] for row in rows] == [None, "no hand for this", None]
     assert rows[1]["log"] is None and all(list(row) == list(rows[0]) for row in rows)

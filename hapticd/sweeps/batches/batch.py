@@ -18,11 +18,11 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.errors import HapticdError, collapse_whitespace
+from hapticd.base.errors import HapticdError
 from hapticd.base.model import plain
 from hapticd.base.yaml_source import Json
 from hapticd.sweeps.batches.tree import RecordingSet, Tree, fingerprint
-from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row, Value, row_of
 from hapticd.sweeps.identity import sum_of
 from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
@@ -61,18 +61,13 @@ class Fits:
         return [self._row(point, each) for point, each in zip(self.ids, self.sets, strict=True)]
 
     def _row(self, point: str, recordings: RecordingSet) -> Row:
-        row: Row = dict.fromkeys(column.name for column in FIT_COLUMNS)
-        row |= {
+        given: dict[str, Value] = {
             POINT_COLUMN.name: point,
             "material": recordings.material,
             "kind": recordings.kind,
             "recordings": len(recordings.files),
         }
-        try:
-            row |= fitted_row(self.root, recordings)
-        except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR_COLUMN.name] = collapse_whitespace(str(error)) or type(error).__name__
-        return row
+        return row_of(FIT_COLUMNS, given, lambda: fitted_row(self.root, recordings))
 
 
 def fitted_row(root: str, recordings: RecordingSet) -> Row:

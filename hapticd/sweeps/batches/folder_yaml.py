@@ -73,13 +73,10 @@ class FolderYaml:
         """Read a fit.yaml; `shown` is its name in errors. Raises InvalidError, or HapticdError if it cannot be read."""
         document = load_bytes(read_file(path, MAX_YAML_BYTES), shown)
         refuse_other_kinds(document)
-        if not isinstance(document.data, dict):
-            text = "is empty" if document.data is None else "must be a mapping"
-            keys = ", ".join(map(key_of, BatchFolder.model_fields))
-            raise InvalidError([Problem(document.where(()), f"{text}; known keys: {keys}")])
         self._document: Document = document
+        given = document.mapping(map(key_of, BatchFolder.model_fields))
         try:
-            self.folder = BatchFolder.parsed(document.data)
+            self.folder = BatchFolder.parsed(given)
         except ValidationError as error:
             raise InvalidError(document.problem(where, text) for where, text in faults_of(error)) from None
 

@@ -13,7 +13,6 @@ from hapticd.base.errors import HapticdError
 from hapticd.config.scene import Constant, field_ids
 from hapticd.rendering.device_output import output_of
 from hapticd.sweeps.columns import Column, Row
-from hapticd.sweeps.measures.measure import NoOptions
 from hapticd.sweeps.point import Point
 
 Floats = npt.NDArray[np.float64]
@@ -58,8 +57,6 @@ class EnergyGiven:
         ),
     )
     needs_run = True
-
-    def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
         """Return the largest energy of all contacts of the point's run.

@@ -9,7 +9,6 @@ from hapticd.config.materials import Material
 from hapticd.config.scene import Constant, Wall
 from hapticd.sweeps.columns import Column, Row
 from hapticd.sweeps.measures.continuous_wall import ContinuousWall, WallLoop
-from hapticd.sweeps.measures.measure import NoOptions
 from hapticd.sweeps.point import Point
 
 
@@ -25,8 +24,6 @@ class LoopError:
         Column("loop_penetration_error_m", "number", "measured", "m", "Largest error of the penetration at a tick."),
     )
     needs_run = True
-
-    def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
         """Return the largest errors at all ticks of the run. Raises HapticdError if there is no closed form."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from hapticd.base.errors import HapticdError
 from hapticd.rendering.scene_stability import sets_of
 from hapticd.sweeps.columns import Column, Row
-from hapticd.sweeps.measures.measure import NoOptions
 from hapticd.sweeps.point import Point
 
 
@@ -25,8 +24,6 @@ class StabilityFactor:
         ),
     )
     needs_run = False
-
-    def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
         """Return the factor for the simulated joystick or `device.handle`; raise HapticdError for an unknown handle."""

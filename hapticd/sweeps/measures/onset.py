@@ -13,7 +13,6 @@ from hapticd.base.core import EventKind, lib
 from hapticd.base.errors import HapticdError
 from hapticd.config.scene import SURFACE_MODELS, Box, Disc, SceneObject, Wall
 from hapticd.sweeps.columns import Column, Row
-from hapticd.sweeps.measures.measure import NoOptions
 from hapticd.sweeps.point import Point
 
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -42,8 +41,6 @@ class OnsetError:
         Column("onsets", "integer", "measured", "", "Number of touches that were reported."),
     )
     needs_run = True
-
-    def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
         """Return the error of largest magnitude of the run's touches (None without a touch), and their number.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from hapticd.sweeps.columns import Column, Row
-from hapticd.sweeps.measures.measure import NoOptions
 from hapticd.sweeps.point import Point
 
 
@@ -14,8 +13,6 @@ class PeakForce:
 
     columns = (Column("peak_force_n", "number", "measured", "N", "Largest magnitude of the commanded force."),)
     needs_run = True
-
-    def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
         """Return the largest force of all ticks of the run."""
@@ -27,8 +24,6 @@ class PeakSpeed:
 
     columns = (Column("peak_speed_m_per_s", "number", "measured", "m/s", "Largest speed of the handle."),)
     needs_run = True
-
-    def __init__(self, _: NoOptions) -> None: ...
 
     def of(self, point: Point) -> Row:
         """Return the largest speed of all ticks of the run."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Final
 
 from pydantic import ValidationError
 
@@ -23,7 +23,7 @@ from hapticd.sweeps.measures.quantile import Quantile, QuantileOptions
 from hapticd.sweeps.measures.rest import Rest, RestOptions
 from hapticd.sweeps.measures.user_function import FUNCTION_MEASURE, FunctionOptions, UserFunction, identity_options
 
-_MEASURE_CLASSES: Final[Mapping[str, tuple[type[Model], Callable[[Any], Measure]]]] = {
+MEASURE_CLASSES: Final[Mapping[str, tuple[type[Model], Callable[..., Measure]]]] = {
     "end": (RestOptions, Rest),
     "peak_force_n": (NoOptions, PeakForce),
     "peak_speed_m_per_s": (NoOptions, PeakSpeed),
@@ -37,12 +37,7 @@ _MEASURE_CLASSES: Final[Mapping[str, tuple[type[Model], Callable[[Any], Measure]
     "displayed_materials": (DisplayedMaterialsOptions, DisplayedMaterials),
     FUNCTION_MEASURE: (FunctionOptions, UserFunction),
 }
-"""Options and class of each measure, by its name."""
-
-
-def known_measures() -> tuple[str, ...]:
-    """Return the names of all measures."""
-    return tuple(_MEASURE_CLASSES)
+"""Options and class of each measure, by its name. Without options, the class takes no argument."""
 
 
 def parse_measure(given: str | Mapping[str, Json]) -> Measure:
@@ -59,13 +54,14 @@ def parse_measure(given: str | Mapping[str, Json]) -> Measure:
         options = found
     else:
         raise InvalidError([Problem("", f"must be a name or {{name: options}}, has {len(given)} keys")])
-    if name not in _MEASURE_CLASSES:
-        raise InvalidError([Problem("", f"unknown measure {name}; {known_names(name, _MEASURE_CLASSES)}")])
-    model, made = _MEASURE_CLASSES[name]
+    if name not in MEASURE_CLASSES:
+        raise InvalidError([Problem("", f"unknown measure {name}; {known_names(name, MEASURE_CLASSES)}")])
+    model, made = MEASURE_CLASSES[name]
     try:
-        return made(model.parsed(options))
+        given_options = model.parsed(options)
     except ValidationError as error:
         raise InvalidError(Problem(path_text((name, *path)), text) for path, text in faults_of(error)) from None
+    return made() if model is NoOptions else made(given_options)
 
 
 def identity_of(given: str | Mapping[str, Json]) -> Json:

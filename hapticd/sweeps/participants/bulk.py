@@ -9,17 +9,17 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.errors import HapticdError, collapse_whitespace
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.keys import Study
-from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row
+from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row, row_of
 from hapticd.sweeps.identity import sum_of, sums_at
-from hapticd.sweeps.participants.one_session import SESSION_COLUMNS, row_of
+from hapticd.sweeps.participants.one_session import SESSION_COLUMNS, session_values
 from hapticd.sweeps.work import ID_DTYPE
 from hapticd.sweeps.worker_check import code_version
 
 PARTICIPANT_COLUMN: Final = Column("participant", "text", "varied", description="Label of the participant.")
 """The only varied column of a row."""
+_ROW_COLUMNS: Final = (POINT_COLUMN, PARTICIPANT_COLUMN, *SESSION_COLUMNS, ERROR_COLUMN)
 
 
 @dataclass(frozen=True)
@@ -40,17 +40,8 @@ class Sessions:
         return [self._row(point, label) for point, label in zip(self.ids, self.labels, strict=True)]
 
     def _row(self, point: str, label: str) -> Row:
-        row: Row = {
-            POINT_COLUMN.name: point,
-            PARTICIPANT_COLUMN.name: label,
-            **dict.fromkeys(column.name for column in SESSION_COLUMNS),
-        }
-        row[ERROR_COLUMN.name] = None
-        try:
-            row |= row_of(self.study, label, self.session, self.seed)
-        except (HapticdError, MemoryError, ArithmeticError) as error:
-            row[ERROR_COLUMN.name] = collapse_whitespace(str(error)) or type(error).__name__
-        return row
+        given = {POINT_COLUMN.name: point, PARTICIPANT_COLUMN.name: label}
+        return row_of(_ROW_COLUMNS, given, lambda: session_values(self.study, label, self.session, self.seed))
 
 
 @dataclass(frozen=True)
@@ -76,7 +67,7 @@ class Participants:
     @property
     def columns(self) -> tuple[Column, ...]:
         """The columns of every row, in order."""
-        return (POINT_COLUMN, PARTICIPANT_COLUMN, *SESSION_COLUMNS, ERROR_COLUMN)
+        return _ROW_COLUMNS
 
     @property
     def points(self) -> dict[str, str]:

@@ -34,7 +34,7 @@ SESSION_COLUMNS: Final = (
 """The measured columns in the row of a session."""
 
 
-def row_of(study: Study, participant: str, session: int, seed: int) -> Row:
+def session_values(study: Study, participant: str, session: int, seed: int) -> Row:
     """Run the session of a simulated participant and return the values of SESSION_COLUMNS. Raises HapticdError.
 
     Study, participant, session and seed determine these values bit for bit.

@@ -29,6 +29,19 @@ export function button(text, classes, action, attributes = {}) {
   return make("button", { type: "button", class: `button ${classes}`, text, on: { click: action }, ...attributes });
 }
 
+// A label that opens the browser's choice of a file, and its hidden input; `chosen` is called with the file.
+export function fileChooser(id, text, accept, chosen, attributes = {}) {
+  const change = () => {
+    const [file] = input.files;
+    input.value = "";
+    if (file !== undefined) {
+      chosen(file);
+    }
+  };
+  const input = make("input", { id, class: "visually-hidden", type: "file", accept, on: { change }, ...attributes });
+  return [make("label", { for: id, class: "button file-button" }, text), input];
+}
+
 // Fills a <select> with [value, text] pairs, but only if they changed, so that an open list stays open.
 export function fill(select, pairs, chosen) {
   const key = JSON.stringify(pairs);

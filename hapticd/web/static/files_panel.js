@@ -1,7 +1,7 @@
 // The panel of files: shipped scenes and materials, YAML files of the user, and the scene as a file.
 // hapticd/web/yaml_methods.py checks and writes files. The text of an opened file is kept here: changes are saved into it,
 // so that its comments stay.
-import { make } from "./dom.js";
+import { button, fileChooser, make } from "./dom.js";
 import { check, options } from "./scope/elements.js";
 import { fileName, save } from "./scope/export.js";
 
@@ -55,12 +55,7 @@ class FilesPanel {
       on: { change: () => this.#describe("materials") },
     });
     this.about = { scenes: make("p", { class: "note" }), materials: make("p", { class: "note" }) };
-    this.file = make("input", {
-      id: "yaml-file",
-      class: "visually-hidden",
-      type: "file",
-      accept: ".yaml,.yml",
-      on: { change: () => this.#chosen() },
+    const chooser = fileChooser("yaml-file", "Open a YAML file", ".yaml,.yml", (file) => this.#chosen(file), {
       "aria-describedby": "files-message",
     });
     this.message = make("p", { id: "files-message", class: "note", role: "status" });
@@ -72,11 +67,7 @@ class FilesPanel {
     this.name = make("input", { id: "yaml-name", type: "text", maxlength: "100", spellcheck: "false" });
     this.name.value = "scene.yaml";
     this.into = make("p", { class: "note" });
-    this.forget = make(
-      "button",
-      { type: "button", class: "button small", hidden: true, on: { click: () => this.#forget() } },
-      "Start a new file",
-    );
+    this.forget = button("Start a new file", "small", () => this.#forget(), { hidden: true });
     panel.append(
       this.#card("Shipped", [
         this.#shippedRow("scenes", "Scene", this.scenes),
@@ -86,12 +77,7 @@ class FilesPanel {
       ]),
       this.#card("Open", [
         make("p", { class: "note" }, "A YAML file with a scene, materials or both. It replaces the scene at once."),
-        make(
-          "div",
-          { class: "row" },
-          make("label", { for: "yaml-file", class: "button file-button" }, "Open a YAML file"),
-          this.file,
-        ),
+        make("div", { class: "row" }, ...chooser),
       ]),
       this.message,
       this.faults,
@@ -99,16 +85,7 @@ class FilesPanel {
         make("div", { class: "stack" }, ...Object.values(this.parts)),
         make("div", { class: "field" }, make("label", { for: "yaml-name" }, "Name of the file"), this.name),
         this.into,
-        make(
-          "div",
-          { class: "row" },
-          make(
-            "button",
-            { id: "yaml-save", type: "button", class: "button primary", on: { click: () => this.#save() } },
-            "Save as YAML",
-          ),
-          this.forget,
-        ),
+        make("div", { class: "row" }, button("Save as YAML", "primary", () => this.#save(), { id: "yaml-save" }), this.forget),
       ]),
     );
     this.#showInto();
@@ -119,17 +96,9 @@ class FilesPanel {
   }
 
   #shippedRow(folder, label, select) {
-    const button = make(
-      "button",
-      {
-        type: "button",
-        class: "button",
-        "aria-label": `Open the shipped ${folder}`,
-        on: { click: () => this.#openShipped(folder, select.value) },
-      },
-      "Open",
-    );
-    return make("div", { class: "row files-row" }, make("label", { for: select.id }, label), select, button);
+    const about = { "aria-label": `Open the shipped ${folder}` };
+    const open = button("Open", "", () => this.#openShipped(folder, select.value), about);
+    return make("div", { class: "row files-row" }, make("label", { for: select.id }, label), select, open);
   }
 
   #describe(folder) {
@@ -171,7 +140,7 @@ class FilesPanel {
     );
   }
 
-  // Runs one action at a time; the controls are disabled meanwhile.
+  // Shows the problem of an action that fails.
   async #during(work) {
     try {
       await work();
@@ -189,12 +158,7 @@ class FilesPanel {
     });
   }
 
-  #chosen() {
-    const [file] = this.file.files;
-    this.file.value = "";
-    if (file === undefined) {
-      return undefined;
-    }
+  #chosen(file) {
     return this.#during(async () => {
       if (file.size > MAX_FILE_BYTES) {
         throw new Error(

@@ -116,7 +116,6 @@ class MaterialsPanel {
     );
   }
 
-
   #follow() {
     const { model, warnings } = this.#app;
     if (!(this.name in model.materials)) {
@@ -164,15 +163,8 @@ class MaterialsPanel {
     list.show(names.map((name) => [name, used.has(name) ? "in the scene" : ""]), this.name, "No material of this name.");
   }
 
-  async #attempt(label, forward, backward) {
-    try {
-      await this.#app.undo.change(label, forward, backward);
-      this.#parts.problem.textContent = "";
-      return true;
-    } catch (error) {
-      this.#parts.problem.textContent = error.problems?.map(({ problem }) => problem).join("; ") || error.message;
-      return false;
-    }
+  #attempt(label, forward, backward) {
+    return this.#app.undo.attempt(this.#parts.problem, label, forward, backward);
   }
 
   async #copy() {
@@ -202,7 +194,6 @@ class MaterialsPanel {
     const forward = difference(now, this.#shipped[this.name]);
     await this.#attempt(`reset ${this.name}`, { materials: { [this.name]: forward } }, { materials: { [this.name]: inverse(now, forward) } });
   }
-
 
   // Adds the new name, changes the objects that use the old one, and removes the old one.
   async #rename(name) {

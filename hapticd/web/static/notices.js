@@ -1,5 +1,7 @@
 // Notices of all modules: `app.view.dispatchEvent(new CustomEvent("notice", {detail: {text, kind}}))`, kind `info` or
 // `error`. An error stays until it is closed, an info for 6 s. The same text is shown once.
+import { button, make } from "./dom.js";
+
 const INFO_SHOWN_S = 6;
 const MAX_NOTICES = 4;
 
@@ -10,17 +12,8 @@ export function mount(app, element) {
         each.remove();
       }
     }
-    const line = document.createElement("div");
-    line.className = `notice ${kind === "error" ? "bad" : ""}`;
-    line.dataset.text = text;
-    const words = document.createElement("p");
-    words.textContent = text;
-    const close = document.createElement("button");
-    close.type = "button";
-    close.className = "button quiet small";
-    close.textContent = "Close";
-    close.addEventListener("click", () => line.remove());
-    line.append(words, close);
+    const close = button("Close", "quiet small", () => line.remove());
+    const line = make("div", { class: `notice ${kind === "error" ? "bad" : ""}`, data: { text } }, make("p", { text }), close);
     element.append(line);
     while (element.children.length > MAX_NOTICES) {
       element.firstElementChild.remove();

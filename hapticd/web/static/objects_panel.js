@@ -90,7 +90,6 @@ class ObjectsPanel {
   }
 
 
-
   #follow() {
     const { objects } = this.#app.model.scene;
     if (this.#awaited !== null && this.#awaited in objects) {
@@ -154,15 +153,10 @@ class ObjectsPanel {
   }
 
   async #attempt(label, forward, backward) {
-    try {
-      await this.#app.undo.change(label, { objects: forward }, { objects: backward });
-      this.#parts.problem.textContent = "";
-      return true;
-    } catch (error) {
-      this.#parts.object.hidden = false;
-      this.#parts.problem.textContent = error.problems?.map(({ problem }) => problem).join("; ") || error.message;
-      return false;
-    }
+    const { problem, object } = this.#parts;
+    const made = await this.#app.undo.attempt(problem, label, { objects: forward }, { objects: backward });
+    object.hidden &&= made;
+    return made;
   }
 
   // The answer may come before the model has the change: then #follow selects the object, unless another was selected.

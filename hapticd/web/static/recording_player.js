@@ -1,6 +1,6 @@
 // The player of a recording: its force over time with a mark at the moment, a slider, play and speed. It shows app.playback
 // (playback.js), as do the scope and the scene.
-import { make } from "./dom.js";
+import { button, make } from "./dom.js";
 import { options } from "./scope/elements.js";
 import { color, onTheme } from "./theme.js";
 
@@ -47,7 +47,7 @@ export class RecordingPlayer {
       on: { keydown: (event) => this.#key(event), input: () => this.#seek(Number(this.slider.value)) },
     });
     this.time = make("output", { class: "number", for: "recording-moment" });
-    this.play = make("button", { type: "button", class: "button", on: { click: () => this.#toggle() } }, "Play");
+    this.play = button("Play", "", () => this.#toggle());
     this.speed = make("select", {
       id: "recording-speed",
       class: "select",
@@ -58,8 +58,7 @@ export class RecordingPlayer {
       PLAYBACK_SPEEDS.map((speed) => [String(speed), `${speed}×`]),
       "1",
     );
-    const zoom = (text, label, click) =>
-      make("button", { type: "button", class: "button small", "aria-label": label, on: { click } }, text);
+    const zoom = (text, label, click) => button(text, "small", click, { "aria-label": label });
     this.about = make("dl", { class: "facts" });
     this.title = make("h3", {});
     this.element = make(
@@ -84,7 +83,7 @@ export class RecordingPlayer {
         zoom("Wider", "Show more time around the moment", () => this.#zoom(4)),
         zoom("Whole", "Show the complete recording", () => this.#zoom(Infinity)),
         make("span", { class: "spacer" }),
-        make("button", { type: "button", class: "button", on: { click: () => this.#leave() } }, "Back to now"),
+        button("Back to now", "", () => this.#leave()),
       ),
       this.about,
     );

@@ -1,6 +1,6 @@
 // The panel of recordings: hapticd web records into a folder; the panel lists, downloads, deletes and plays its files.
 // recording_player.js plays a recording.
-import { make } from "./dom.js";
+import { button, fileChooser, make } from "./dom.js";
 import { RecordingPlayer } from "./recording_player.js";
 import { check } from "./scope/elements.js";
 
@@ -74,11 +74,8 @@ class RecordingsPanel {
     const label = "Stop automatically after, s";
     const range = { type: "number", min: "1", max: "86400", step: "1", value: "60" };
     this.seconds = make("input", { id: "recording-seconds", "aria-label": label, disabled: true, ...range });
-    const button = (id, kind, text, click) =>
-      make("button", { id, type: "button", class: `button ${kind}`, on: { click } }, text);
-    this.start = button("recording-start", "primary", "Record", () => this.#start());
-    this.stop = button("recording-stop", "danger", "Stop recording", () => this.#stop());
-    this.stop.hidden = true;
+    this.start = button("Record", "primary", () => this.#start(), { id: "recording-start" });
+    this.stop = button("Stop recording", "danger", () => this.#stop(), { id: "recording-stop", hidden: true });
     this.state = make("p", { id: "recording-state", class: "number recording-state" });
     return make(
       "section",
@@ -111,14 +108,7 @@ class RecordingsPanel {
     );
     this.empty = make("p", { class: "empty" }, "Nothing was recorded yet.");
     this.folder = make("p", { class: "note" });
-    this.upload = make("input", {
-      id: "recording-file",
-      class: "visually-hidden",
-      type: "file",
-      accept: ".npz",
-      on: { change: () => this.#chosen() },
-    });
-    const choose = make("label", { for: "recording-file", class: "button file-button" }, "Open a file of yours");
+    const chooser = fileChooser("recording-file", "Open a file of yours", ".npz", (file) => this.#chosen(file));
     return make(
       "section",
       { class: "card stack" },
@@ -126,7 +116,7 @@ class RecordingsPanel {
       this.table,
       this.empty,
       this.folder,
-      make("div", { class: "row" }, choose, this.upload),
+      make("div", { class: "row" }, ...chooser),
     );
   }
 
@@ -239,27 +229,14 @@ class RecordingsPanel {
 
   #rowsOf({ name, size, modified_ns: modified }) {
     const made = new Date(modified / 1e6);
-    const button = (text, label, click, kind = "") =>
-      make(
-        "button",
-        { type: "button", class: `button small ${kind}`, "aria-label": `${label} ${name}`, on: { click } },
-        text,
-      );
+    const href = `/recordings/${encodeURIComponent(name)}`;
+    const labelled = (word) => ({ "aria-label": `${word} ${name}` });
     const actions = make(
       "div",
       { class: "row" },
-      button("Open", "Open", () => this.#open({ name })),
-      make(
-        "a",
-        {
-          class: "button small",
-          href: `/recordings/${encodeURIComponent(name)}`,
-          download: name,
-          "aria-label": `Download ${name}`,
-        },
-        "Download",
-      ),
-      button("Delete", "Delete", () => this.#askToDelete(name, actions), "danger"),
+      button("Open", "small", () => this.#open({ name }), labelled("Open")),
+      make("a", { class: "button small", href, download: name, ...labelled("Download") }, "Download"),
+      button("Delete", "small danger", () => this.#askToDelete(name, actions), labelled("Delete")),
     );
     return [
       make(
@@ -283,23 +260,11 @@ class RecordingsPanel {
 
   #askToDelete(name, actions) {
     const before = [...actions.children];
-    const keep = make(
-      "button",
-      {
-        type: "button",
-        class: "button small",
-        on: { click: () => {
-          actions.replaceChildren(...before);
-          before.at(-1).focus();
-        } },
-      },
-      "Keep it",
-    );
-    const sure = make(
-      "button",
-      { type: "button", class: "button small danger", on: { click: () => this.#delete(name) } },
-      "Delete for good",
-    );
+    const keep = button("Keep it", "small", () => {
+      actions.replaceChildren(...before);
+      before.at(-1).focus();
+    });
+    const sure = button("Delete for good", "small danger", () => this.#delete(name));
     actions.replaceChildren(make("span", {}, `Delete ${name}?`), sure, keep);
     keep.focus();
   }
@@ -325,12 +290,7 @@ class RecordingsPanel {
     });
   }
 
-  #chosen() {
-    const [file] = this.upload.files;
-    this.upload.value = "";
-    if (file === undefined) {
-      return undefined;
-    }
+  #chosen(file) {
     return this.#during(async () => {
       if (file.size > MAX_UPLOAD_BYTES) {
         throw new Error(`${file.name} has ${bytes(file.size)}; at most ${bytes(MAX_UPLOAD_BYTES)} are accepted`);

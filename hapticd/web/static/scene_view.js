@@ -4,6 +4,7 @@
 // It sets `app.scene`: {mode, setMode, fit, hand, transform, picture}, and listens to `select` and `playback` of app.view.
 // `playback` {state, touching} shows a moment of a recording (playback.js), a map as in the topic `state`, in the recorded
 // scene; {state: null} shows the present again.
+import { make } from "./dom.js";
 import { onTheme } from "./theme.js";
 import { Arrange } from "./scene_view/arrange.js";
 import { Contacts } from "./scene_view/contacts.js";
@@ -180,30 +181,16 @@ class SceneView {
   #build(element) {
     this.#tools = toolbar(this);
     this.#legend = legend();
-    const body = document.createElement("div");
-    body.className = "view-body";
-    this.canvas = document.createElement("canvas");
-    this.canvas.className = "scene-canvas";
-    this.canvas.tabIndex = 0;
-    this.canvas.setAttribute("role", "application");
-    this.canvas.setAttribute("aria-label", "Scene");
-    this.canvas.setAttribute("aria-describedby", "scene-keys");
-    const keys = document.createElement("p");
-    keys.id = "scene-keys";
-    keys.className = "visually-hidden";
-    keys.textContent = KEY_HELP;
-    body.append(this.canvas, keys);
-    const foot = document.createElement("div");
-    foot.className = "view-foot scene-foot";
-    const figures = document.createElement("p");
-    figures.className = "scene-figures";
-    figures.setAttribute("aria-hidden", "true");
-    const spoken = document.createElement("p");
-    spoken.className = "visually-hidden";
-    spoken.setAttribute("role", "status");
-    spoken.setAttribute("aria-label", "State of the scene");
-    foot.append(figures, spoken, this.#legend.element);
-    element.append(this.#tools.element, body, foot);
+    const spokenAs = { role: "application", "aria-label": "Scene", "aria-describedby": "scene-keys" };
+    this.canvas = make("canvas", { class: "scene-canvas", tabindex: 0, ...spokenAs });
+    const keys = make("p", { id: "scene-keys", class: "visually-hidden", text: KEY_HELP });
+    const figures = make("p", { class: "scene-figures", "aria-hidden": "true" });
+    const spoken = make("p", { class: "visually-hidden", role: "status", "aria-label": "State of the scene" });
+    element.append(
+      this.#tools.element,
+      make("div", { class: "view-body" }, this.canvas, keys),
+      make("div", { class: "view-foot scene-foot" }, figures, spoken, this.#legend.element),
+    );
     this.#description = new Description(figures, spoken);
   }
 

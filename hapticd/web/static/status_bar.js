@@ -1,6 +1,7 @@
 // The bar at the top: state of the daemon, control of the forces, faults, warnings, and the stop. Space stops the forces
 // unless the focus is in a text field. Escape stops them there, too, unless it cancels or closes something: then it does only
 // that (the listener prevents the default).
+import { make } from "./dom.js";
 import { faultText, lateness } from "./status_words.js";
 
 const BAR_HTML = `
@@ -32,13 +33,8 @@ export function mount(app, element) {
   const part = (id) => document.getElementById(id);
   const facts = {};
   for (const name of FACT_NAMES) {
-    const group = document.createElement("div");
-    const [term, value] = [document.createElement("dt"), document.createElement("dd")];
-    term.textContent = name;
-    value.textContent = "–";
-    group.append(term, value);
-    part("facts").append(group);
-    facts[name] = value;
+    facts[name] = make("dd", { text: "–" });
+    part("facts").append(make("div", {}, make("dt", { text: name }), facts[name]));
   }
   const late = lateness();
   const bar = { app, part, facts, late, waiting: null, heard: performance.now() };
@@ -222,12 +218,7 @@ function drawAlerts(bar) {
   const wanted = JSON.stringify(lines);
   if (alerts.dataset.lines !== wanted) {
     alerts.dataset.lines = wanted;
-    alerts.replaceChildren(...lines.map(([kind, text]) => {
-      const line = document.createElement("p");
-      line.className = `alert ${kind}`;
-      line.setAttribute("role", kind === "bad" ? "alert" : "status");
-      line.textContent = text;
-      return line;
-    }));
+    const roleOf = (kind) => (kind === "bad" ? "alert" : "status");
+    alerts.replaceChildren(...lines.map(([kind, text]) => make("p", { class: `alert ${kind}`, role: roleOf(kind), text })));
   }
 }

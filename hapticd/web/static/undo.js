@@ -52,6 +52,18 @@ export class Undo extends EventTarget {
     });
   }
 
+  // As `change`, but returns whether the change was made. If it was refused, `problem`, an element, shows why.
+  async attempt(problem, label, forward, backward) {
+    try {
+      await this.change(label, forward, backward);
+      problem.textContent = "";
+      return true;
+    } catch (error) {
+      problem.textContent = error.problems?.map((each) => each.problem).join("; ") || error.message;
+      return false;
+    }
+  }
+
   // Runs a change that ends with `note`. An undo that is requested meanwhile waits for this change, and undoes it.
   during(work) {
     const done = work();

@@ -209,17 +209,22 @@ function sending(editor, frame, spec, control, follow, patchOf = (value) => edit
   };
 }
 
-export function enumField(editor, spec) {
+// A choice of one of the [value, text] pairs that `pairsOf` returns.
+function selectField(editor, spec, pairsOf, patchOf) {
   const frame = fieldFrame(editor, spec);
   const select = make("select", { class: "select", id: frame.ids.control, "aria-describedby": frame.describedBy });
-  fill(select, spec.schema.enum.map((value) => [String(value), valueLabel(spec.definition, spec.key, value)]), String(editor.at(spec.path)));
-  const follow = () => (select.value = String(editor.at(spec.path)));
-  const also = spec.also ?? (() => ({}));
-  const patchOf = (value) => editor.patch(spec.path.slice(0, -1), { [spec.key]: value, ...also(value) });
+  const follow = () => fill(select, pairsOf(), String(editor.at(spec.path)));
   const send = sending(editor, frame, spec, select, follow, patchOf);
   select.addEventListener("change", () => send(select.value));
+  follow();
   frame.entry.append(select);
   return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
+}
+
+export function enumField(editor, spec) {
+  const pairs = spec.schema.enum.map((value) => [String(value), valueLabel(spec.definition, spec.key, value)]);
+  const also = spec.also ?? (() => ({}));
+  return selectField(editor, spec, () => pairs, (value) => editor.patch(spec.path.slice(0, -1), { [spec.key]: value, ...also(value) }));
 }
 
 export function switchField(editor, spec) {
@@ -235,14 +240,7 @@ export function switchField(editor, spec) {
 
 // A choice of material names; those of the scene first.
 export function materialField(editor, spec) {
-  const frame = fieldFrame(editor, spec);
-  const select = make("select", { class: "select", id: frame.ids.control, "aria-describedby": frame.describedBy });
-  const follow = () => fill(select, editor.app.materialNames().map((name) => [name, name]), editor.at(spec.path));
-  const send = sending(editor, frame, spec, select, follow);
-  select.addEventListener("change", () => send(select.value));
-  follow();
-  frame.entry.append(select);
-  return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
+  return selectField(editor, spec, () => editor.app.materialNames().map((name) => [name, name]));
 }
 
 // Two components, x and y (or width and height), each with a slider.

@@ -1,6 +1,6 @@
 // The oscilloscope's controls: trigger, width of the window, traces, views and files. They call `actions` of scope.js;
 // `show` sets them to the current state.
-import { make } from "../dom.js";
+import { button, make } from "../dom.js";
 import { CHANNELS, CHANNEL } from "./channels.js";
 import { check, duration, figure, options } from "./elements.js";
 import { SOURCES } from "./trigger.js";
@@ -31,9 +31,8 @@ export class Controls {
     );
   }
 
-  #button(name, label, run, more = {}) {
-    const kind = `button small ${more.class ?? ""}`;
-    this.#parts[name] = make("button", { type: "button", ...more, class: kind, on: { click: run } }, label);
+  #button(name, label, run, { class: kind = "", ...more } = {}) {
+    this.#parts[name] = button(label, `small ${kind}`, run, more);
     return this.#parts[name];
   }
 
@@ -289,11 +288,7 @@ export class TracesPanel {
       );
     });
     const fields = Object.entries(scales).map(([id, { label, unit }]) => this.#scale(id, label, unit));
-    const close = make(
-      "button",
-      { type: "button", class: "button small", on: { click: () => actions.toggleTraces() } },
-      "Close",
-    );
+    const close = button("Close", "small", () => actions.toggleTraces());
     this.root = make(
       "div",
       {

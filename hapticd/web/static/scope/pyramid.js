@@ -40,22 +40,12 @@ export class Pyramid {
     const below = k === 0 ? null : this.#levels[k - 1];
     const lows = below === null ? this.#column : below.low;
     const highs = below === null ? this.#column : below.high;
-    const slots = lows.length;
-    let low = Infinity;
-    let high = -Infinity;
-    let at = (block * BLOCK) % slots;
-    for (let part = 0; part < BLOCK; part++) {
-      if (lows[at] < low) {
-        low = lows[at];
-      }
-      if (highs[at] > high) {
-        high = highs[at];
-      }
-      at = at + 1 === slots ? 0 : at + 1;
-    }
+    this.low = Infinity;
+    this.high = -Infinity;
+    this.#extend(lows, highs, (block * BLOCK) % lows.length, BLOCK);
     const level = this.#levels[k];
-    level.low[block % level.slots] = low;
-    level.high[block % level.slots] = high;
+    level.low[block % level.slots] = this.low;
+    level.high[block % level.slots] = this.high;
   }
 
   // Sets `low` and `high` for rows from..to - 1, which must be in the ring and in its blocks. No rows: Infinity, -Infinity.
@@ -92,10 +82,14 @@ export class Pyramid {
     }
     const lows = k < 0 ? this.#column : this.#levels[k].low;
     const highs = k < 0 ? this.#column : this.#levels[k].high;
+    this.#extend(lows, highs, (this.#offsets[k + 1] + begin) % lows.length, end - begin);
+  }
+
+  // Extends low and high by `count` slots of two rings, from slot `at` on.
+  #extend(lows, highs, at, count) {
     const slots = lows.length;
     let { low, high } = this;
-    let at = (this.#offsets[k + 1] + begin) % slots;
-    for (let block = begin; block < end; block++) {
+    for (let left = count; left > 0; left--) {
       if (lows[at] < low) {
         low = lows[at];
       }
