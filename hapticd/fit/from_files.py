@@ -27,7 +27,9 @@ from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
 from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of, ring_on
 
-AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material gets a waveform; --as mode fits a mode"
+AS_WAVEFORM: Final = (
+    "a waveform explains the taps better than a mode: the material gets a waveform; --as mode fits a mode"
+)
 """Note for the user if a waveform was chosen automatically."""
 Step: TypeAlias = Callable[[str], None]
 """Callback with a text about the current step."""

@@ -90,11 +90,15 @@ class Events:
             kept = _without_bounces(recording, self.events)
             bounces = len(self.events) - len(kept)
             if self.speeds is not None and len(self.speeds) != len(kept):
+                weakest = f"the noise and than {100 * TAP_LIMITS.min_loud_level:.0f} % of the loudest"
+                hint = (
+                    f"a tap is found only if it is louder than {weakest}, and the one before has almost stopped ringing"
+                    if len(kept) < len(self.speeds)
+                    else "a knock, a hum or a ringing that beats also counts as a tap"
+                )
                 raise FitError(
                     f"{recording.name}: has {len(self.speeds)} speeds for {len(kept)} taps"
-                    f"{f' and {bounces} bounces' if bounces else ''}: needs one for each tap; a tap is found only if "
-                    f"it is louder than the noise and than {100 * TAP_LIMITS.min_loud_level:.0f} % of the loudest, and "
-                    "the one before has almost stopped ringing"
+                    f"{f' and {bounces} bounces' if bounces else ''}: needs one for each tap; {hint}"
                 )
             if bounces:
                 lines.append(f"{recording.name}: {bounces} bounces after taps are left out")
@@ -127,7 +131,7 @@ class Events:
     def allow_ringing_before(self, index: int) -> None:
         """Let the section around an event begin during the ringing of the tap before, which is weak."""
         event, before = self.events[index], self.events[index - 1]
-        begin = event.first - _samples(0.002, self.recording.rate_hz, 16)
+        begin = event.first - _samples(TAP_LIMITS.approach_s, self.recording.rate_hz, 16)
         self.events[index - 1] = dataclasses.replace(before, last=begin - 1)
         self.events[index] = dataclasses.replace(event, rises=False)
 

@@ -118,6 +118,9 @@ def test_speeds_for_taps_that_cannot_be_separated_are_refused_with_the_reason() 
         "the one before has almost stopped ringing",
     ):
         fit_tap([recording])
+    knocked = ringing("knocked", 0.1 + 0.5 * np.arange(6), SPEEDS, 80, 0.02, 3.1)
+    with pytest.raises(FitError, match=r"5 speeds for 6 taps: .* a knock, a hum or a ringing that beats also counts"):
+        fit_tap([dataclasses.replace(knocked, speed_m_per_s=np.array(SPEEDS[:5]))])
 
 
 @pytest.mark.long
