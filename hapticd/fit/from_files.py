@@ -16,6 +16,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import load_path, printable
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
+from hapticd.config.waveform import MAX_WAVEFORM_LENGTH_S
 from hapticd.fit.limits import TAP_LIMITS, WAVEFORM_LIMITS
 from hapticd.fit.options import FitOptions, TapKind
 from hapticd.fit.preparation import refuse_duplicates
@@ -26,7 +27,9 @@ from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.verdict import LOWER_LIMITS, Exclusions
 from hapticd.fit.waveform import WaveformFit, fit_waveform, pulses_of, ring_on
 
-AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material gets a waveform; --as mode fits a mode"
+AS_WAVEFORM: Final = (
+    "a waveform explains the taps better than a mode: the material gets a waveform; --as mode fits a mode"
+)
 """Note for the user if a waveform was chosen automatically."""
 Step: TypeAlias = Callable[[str], None]
 """Callback with a text about the current step."""
@@ -201,7 +204,8 @@ def _better_waveform(
     variance (the median; a tap that was left out counts as 0). Otherwise the waveform is taken if its residual has less
     than half the variance of the modes' residual. The comparison favours the modes, which are fitted to each tap
     separately; the waveform that explains a tap is fitted to the other taps. Taps that ring longer than a waveform
-    lasts, or past the recording's end, get no waveform if no mode can be fitted, or if a mode leaves only noise.
+    lasts, or past the recording's end, get no waveform if no mode can be fitted, if a mode leaves only noise, or if its
+    decay time is longer than a waveform.
     """
     if isinstance(ringing, UnitError):
         return None
@@ -222,7 +226,8 @@ def _better_waveform(
         by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
         # Noise hides the end of a long ringing, which a waveform does not have to explain.
         noise_only = np.median([tap.residual_to_noise for tap in ringing.taps]) < TAP_LIMITS.max_residual_to_noise
-        if rings and (by_mode >= WAVEFORM_LIMITS.min_mode_explained or (ring_on(pulses) and noise_only)):
+        too_long = ringing.decay_time_s.value > MAX_WAVEFORM_LENGTH_S
+        if rings and (by_mode >= WAVEFORM_LIMITS.min_mode_explained or (ring_on(pulses) and (noise_only or too_long))):
             return None
         found = fit_waveform(pulses, warnings, excluded)
     except FitError:

@@ -90,10 +90,15 @@ class Events:
             kept = _without_bounces(recording, self.events)
             bounces = len(self.events) - len(kept)
             if self.speeds is not None and len(self.speeds) != len(kept):
+                weakest = f"the noise and than {100 * TAP_LIMITS.min_loud_level:.0f} % of the loudest"
+                hint = (
+                    f"a tap is found only if it is louder than {weakest}, and the one before has almost stopped ringing"
+                    if len(kept) < len(self.speeds)
+                    else "a knock, a hum or a ringing that beats also counts as a tap"
+                )
                 raise FitError(
                     f"{recording.name}: has {len(self.speeds)} speeds for {len(kept)} taps"
-                    f"{f' and {bounces} bounces' if bounces else ''}: needs one for each tap; a tap is found only if "
-                    "the one before has almost stopped ringing"
+                    f"{f' and {bounces} bounces' if bounces else ''}: needs one for each tap; {hint}"
                 )
             if bounces:
                 lines.append(f"{recording.name}: {bounces} bounces after taps are left out")
@@ -122,6 +127,13 @@ class Events:
         if first - begin < TAP_LIMITS.min_rest_samples:
             raise Unusable(f"{first - begin} samples of rest before the tap, {TAP_LIMITS.min_rest_samples} are needed")
         return begin, end
+
+    def allow_ringing_before(self, index: int) -> None:
+        """Let the section around an event begin during the ringing of the tap before, which is weak."""
+        event, before = self.events[index], self.events[index - 1]
+        begin = event.first - _samples(TAP_LIMITS.approach_s, self.recording.rate_hz, 16)
+        self.events[index - 1] = dataclasses.replace(before, last=begin - 1)
+        self.events[index] = dataclasses.replace(event, rises=False)
 
     def check(self, begin: int, end: int) -> None:
         """Raise Unusable if a sample from `begin` to `end` - 1 is clipped or was replaced."""
@@ -460,14 +472,17 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
     loud = Events(recording, lines)
     name, events = recording.name, loud.events
     found: list[TapHit] = []
+    latest = -1
     refused: list[tuple[Event, Unusable]] = []
     for index, event in enumerate(events):
         try:
-            if found and not event.rises:
-                left = found[-1].remainder(event.first / recording.rate_hz)
-                if event.noise < left and event.peak <= left + TAP_LIMITS.min_peak_to_noise * event.noise:
-                    # Noise on the ringing of the tap before.
-                    continue
+            left = found[-1].remainder(event.first / recording.rate_hz) if found else 0.0
+            if event.rises:
+                if latest == index - 1 and left <= TAP_LIMITS.max_remainder * event.peak:
+                    loud.allow_ringing_before(index)
+            elif event.noise < left and event.peak <= left + TAP_LIMITS.min_peak_to_noise * event.noise:
+                # Noise on the ringing of the tap before.
+                continue
             hit = _hit_of(loud, index)
             left = found[-1].remainder(hit.onset_s) / abs(hit.coefficient_m_per_s2) if found else 0.0
             if left > TAP_LIMITS.max_remainder:
@@ -476,6 +491,7 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
                     f", at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: wait longer between taps"
                 )
             found.append(hit)
+            latest = index
         except Unusable as no:
             refused.append((event, no))
         shapeless = sum(no.fault == "shape" for _, no in refused)
@@ -638,11 +654,13 @@ class SecondMode:
 def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor | None) -> Ringing | None:
     """Return the fit of two modes if it explains significantly more than `ringing`, the fit of one, else None.
 
-    `measured` (n,) is the acceleration, m/s^2. It must contain half a period of the slower mode or more.
+    `measured` (n,) is the acceleration, m/s^2. It must contain half a period of the slower mode or more. To save time,
+    only 4096 samples after the onset are fitted, or those of three decay times if these are more.
     """
     if len(measured) < 24:
         return None
-    head = measured[: math.ceil(ringing.onset_s * rate_hz) + 4096]
+    longest_s = max(4096 / rate_hz, 3 / float(ringing.decay_rate_per_s[0]))
+    head = measured[: math.ceil((ringing.onset_s + longest_s) * rate_hz)]
     pair = fit_ringing(head, rate_hz, modes=2, onset_s=ringing.onset_s, sensor=sensor)
     left = ringing.residual[: len(head)]
     freedom = len(head) - 6
@@ -1125,7 +1143,7 @@ def fit_tap(
     if second is None:
         second = second_mode(taps, explained, chosen.kind)
     _check_recordings(warnings, recordings, taps, frequency, excluded)
-    _check_mode(warnings, taps, second, explained, lines)
+    _check_mode(warnings, taps, second, explained)
     modes = _modes_over_speed(warnings, figures, frequency, decay_time, mode_table)
     if outlier:
         warnings.add(False, outlier, "is its speed right?")
@@ -1227,21 +1245,19 @@ def _check_recordings(
     preparation.report_sampling(of_taps, frequency.value, warnings)
 
 
-def _check_mode(
-    warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, lines: list[str]
-) -> None:
+def _check_mode(warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float) -> None:
     """Downgrade the verdict if the modes do not explain the taps; one mode explains the fraction `explained`."""
     noisy = float(np.median([tap.residual_to_noise for tap in taps]))
     if second is not None:
         together = 100 * second.variance_accounted_for
-        lines.append(
+        warnings.note(
             f"one mode is not enough: a second at {second.frequency_hz.value:.4g} Hz, "
             f"{1e3 * second.decay_time_s.value:.3g} ms and {second.ratio.value:.2g} times as strong explains "
             f"{together:.1f} % together with the first, which alone explains {100 * second.alone:.1f} %"
         )
         poor = second.variance_accounted_for < TAP_LIMITS.well_explained
         if poor or not second.kept:
-            warnings.add(poor, f"two explain {together:.1f} %")
+            warnings.add(poor, "the residuals are not noise" if second.kept else f"two explain {together:.1f} %")
     elif explained < TAP_LIMITS.well_explained and noisy > TAP_LIMITS.max_residual_to_noise:
         warnings.add(True, "the residuals are not noise")
     else:

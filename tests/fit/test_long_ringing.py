@@ -113,9 +113,14 @@ def test_taps_during_a_ringing_are_found_once_and_left_out_with_the_reason(
 def test_speeds_for_taps_that_cannot_be_separated_are_refused_with_the_reason() -> None:
     recording = ringing("bell", 0.1 + 0.2 * np.arange(6), SPEEDS, 80, 1.5, 1.4)
     with pytest.raises(
-        FitError, match=r"6 speeds for .* a tap is found only if the one before has almost stopped ringing"
+        FitError,
+        match=r"6 speeds for .* a tap is found only if it is louder than the noise and than 5 % of the loudest, and "
+        "the one before has almost stopped ringing",
     ):
         fit_tap([recording])
+    knocked = ringing("knocked", 0.1 + 0.5 * np.arange(6), SPEEDS, 80, 0.02, 3.1)
+    with pytest.raises(FitError, match=r"5 speeds for 6 taps: .* a knock, a hum or a ringing that beats also counts"):
+        fit_tap([dataclasses.replace(knocked, speed_m_per_s=np.array(SPEEDS[:5]))])
 
 
 @pytest.mark.long
@@ -130,6 +135,55 @@ def test_a_tap_on_the_remainder_of_another_is_left_out_and_its_ringing_is_no_hum
     assert "at most 25 % is allowed" in left.reason
     assert not any("hum" in reason for reason in fit.judged.reasons)
     assert fit.decay_time_s.value == pytest.approx(0.3, rel=0.01)
+
+
+@pytest.mark.long
+def test_a_tap_during_the_weak_ringing_of_the_tap_before_is_used() -> None:
+    """0.5 s after a tap, 8 % of its ringing remains, which is louder than 5 % of the loudest tap."""
+    speeds = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
+    for quarter in range(4):
+        # The ringing ends at another phase.
+        onsets_s = 0.1003 + (0.5 + quarter / 480) * np.arange(6)
+        fit = fit_tap([ringing("bell", onsets_s, speeds, 120, 0.2, 4.5, noise=0.05)])
+        assert fit.left_out == () and len(fit.taps) == 6
+        assert fit.slope_per_s.value == pytest.approx(SLOPE_PER_S, rel=0.08)
+        assert fit.decay_time_s.value == pytest.approx(0.2, rel=0.02)
+
+
+def test_a_tap_during_a_ringing_that_was_not_fitted_is_left_out() -> None:
+    """The first tap is clipped; how loud it still is at the next one is unknown."""
+    speeds = (0.4, 0.25, 0.3, 0.2, 0.25)
+    recording = ringing("bell", np.array([0.1, 0.607, 2.6, 4.6, 6.6]), speeds, 120, 0.2, 8.5, noise=0.05)
+    assert recording.acceleration_m_per_s2 is not None
+    cut = dataclasses.replace(recording, acceleration_m_per_s2=np.minimum(recording.acceleration_m_per_s2, 105.0))
+    first, second = fit_tap([cut]).left_out
+    assert "clipped" in first.reason and "still rings" in second.reason
+
+
+@pytest.mark.long
+def test_a_bell_with_several_modes_keeps_its_modes() -> None:
+    """Two modes explain most of a bell of three; 0.1 s of waveform would end long before the bell does."""
+    modes = ((240.0, 0.7, 1.0), (540.0, 0.35, 0.5), (910.0, 0.2, 0.4))
+    for count in (2, 3):
+        recordings = [
+            dataclasses.replace(
+                parts[0],
+                acceleration_m_per_s2=np.sum([part.acceleration_m_per_s2 for part in parts], axis=0)
+                - 9.8 * (count - 1),
+            )
+            for speed in SPEEDS
+            for parts in [
+                [
+                    ringing(f"t{speed}", np.array([0.1003]), (speed * size,), frequency_hz, decay_time_s, 3.0, 0.02)
+                    for frequency_hz, decay_time_s, size in modes[:count]
+                ]
+            ]
+        ]
+        fit = fit_taps(recordings)
+        assert isinstance(fit, TapFit) and fit.second is not None and fit.second.kept
+        assert fit.frequency_hz.value == pytest.approx(240, rel=0.002)
+        assert fit.decay_time_s.value == pytest.approx(0.7, rel=0.02)
+        assert fit.second.decay_time_s.value == pytest.approx(0.35, rel=0.02)
 
 
 @pytest.mark.parametrize(("other_hz", "ratio"), [(302.0, 0.9), (305.0, 0.6), (340.0, 0.9)])
