@@ -93,7 +93,7 @@ def claimed(plug: usb.Plug) -> None:
     forces = [(x, y) for _, x, y in plug.joystick.forces]
     check((4.0, 0.0) in forces, "and it is, over hidraw", forces, answer.stderr[-300:])
     answer = hapticd_says("devices", "claim", name)
-    check(answer.returncode == 1 and "claimed already" in answer.stderr, "not twice", answer.stderr.strip())
+    check(answer.returncode == 1 and "already claimed" in answer.stderr, "not twice", answer.stderr.strip())
     answer = hapticd_says("devices", "release", name)
     check(answer.returncode == 0, "released", answer.stdout.strip(), answer.stderr[-300:])
     (listed,) = json.loads(hapticd_says("devices", "--json").stdout)
