@@ -66,18 +66,17 @@ def fitted(point: SweepPoint) -> str:
     """Fit the set of a point of studies/fit_strokes.yaml; return [value, low, high, truth] by quantity, as JSON."""
     index = point.parameters["set"]
     ((figures, truths),) = _SETS[point.parameters["kind"]](range(index, index + 1), SEED)
-    return json.dumps(
-        {name: [figures[name].value, figures[name].low, figures[name].high, truth] for name, truth in truths.items()}
-    )
+    return json.dumps({name: [found.value, found.low, found.high, truths[name]] for name, found in figures.items()})
 
 
 def coverage(kind: str, sets: Sequence[Mapping[str, Sequence[float]]]) -> Iterator[Coverage]:
-    """Yield the coverage of each quantity. Each set maps quantities to [value, low, high, truth]."""
-    for name in sets[0]:
-        errors = [value / truth - 1 for value, _, _, truth in (each[name] for each in sets)]
-        covered = [low <= truth <= high for _, low, high, truth in (each[name] for each in sets)]
+    """Yield the coverage of each quantity. Each set maps its quantities to [value, low, high, truth]."""
+    for name in dict.fromkeys(name for each in sets for name in each):
+        found = [each[name] for each in sets if name in each]
+        errors = [value / truth - 1 for value, _, _, truth in found]
+        covered = [low <= truth <= high for _, low, high, truth in found]
         yield Coverage(
-            kind, name, len(sets), float(np.median(np.abs(errors))), float(np.median(errors)), float(np.mean(covered))
+            kind, name, len(found), float(np.median(np.abs(errors))), float(np.median(errors)), float(np.mean(covered))
         )
 
 
@@ -101,14 +100,17 @@ def table(client: Any, options: Options, progress: Callable[[float], None]) -> T
     ]
     return Table(
         "Strokes and punctures, each fitted to a set of synthetic recordings: coverage of the 95 % intervals, and its "
-        "standard error for this number of fits",
+        "standard error for this number of fits, without peaks that are not resolved",
         ["kind", "figure", "fits", "median error, %", "coverage, %", "standard error, %"],
         rows,
     )
 
 
 def _figures(fit: object, names: Mapping[str, float]) -> dict[str, Estimate]:
+    """Return the figures with these names; the peak of a texture is absent if it is not resolved."""
     found = {name: getattr(fit, name) for name in names}
+    if found.get("peak_hz", ...) is None:
+        del found["peak_hz"]
     assert all(isinstance(each, Estimate) for each in found.values())
     return found
 
