@@ -28,6 +28,15 @@ _VALUE_PATTERN: Final = re.compile(r"(.*\D[:=])?\s*[-+\u00b1]?\d[\d.,]*(?:[eE][-
 """A value with its unit, such as `Sample rate: 2000 Hz`: a cell of a preamble, not a name."""
 
 
+class CsvTableError(ValueError):
+    """A text is not a table of numbers, or its names are unclear."""
+
+    def __init__(self, reason: str, line: int = 1) -> None:
+        super().__init__(reason)
+        self.line = line
+        """Number of the line with the fault, from 1."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Line:
     """A line of the head of a file."""
@@ -99,8 +108,8 @@ class CsvTable:
 def csv_table_of(content: bytes, skipped: int = 0, advice: str = "remove the other lines") -> CsvTable:
     """Find the columns of a text without its first `skipped` lines.
 
-    Raises ValueError (one line) for a text without numbers, and, with `advice`, if lines before the numbers are neither
-    a preamble, nor names, nor units.
+    Raises CsvTableError (one line) for a text without numbers, and, with `advice`, if lines before the numbers are
+    neither a preamble, nor names, nor units.
     """
     text = _text(content)
     begin = 0
@@ -125,27 +134,30 @@ def csv_table_of(content: bytes, skipped: int = 0, advice: str = "remove the oth
     block = _first_of_block(head)
     if block is None:
         if not head:
-            raise ValueError("is empty" if skipped == 0 else f"has no line after the {skipped} that are skipped")
-        raise ValueError(f"holds no line of numbers in lines {skipped + 1} to {number}")
+            raise CsvTableError("is empty" if skipped == 0 else f"has no line after the {skipped} that are skipped")
+        raise CsvTableError(f"holds no line of numbers in lines {skipped + 1} to {number}")
     usual = head[block]
+    dates = usual.dates
     # A line with a number or a date between the last line of text and the block is a sample with a fault, and reported
     # as such.
     texts = [
-        not line.is_of_numbers and not line.dates & usual.dates and (index == 0 or not line.numeric & usual.numeric)
+        not line.is_of_numbers and not line.dates & dates and (index == 0 or not line.numeric & usual.numeric)
         for index, line in enumerate(head[:block])
     ]
     start = block - texts[::-1].index(True) if any(texts) else 0
     for above in head[:start]:
         if min(usual.numeric) in above.numeric:
-            raise ValueError(
+            raise CsvTableError(
                 f"line {above.number} holds a number, but the lines of numbers begin only after line "
-                f"{head[start - 1].number}, which holds text: {advice}"
+                f"{head[start - 1].number}, which holds text: {advice}",
+                above.number,
             )
     found = _names_and_units(head[:start], usual)
     if found is None:
-        raise ValueError(
+        raise CsvTableError(
             f"lines {head[0].number} to {head[start - 1].number}, above the numbers, end in neither names nor units: "
-            f"{advice}"
+            f"{advice}",
+            head[0].number,
         )
     if not any(found):
         # The names may stand in a comment with as many cells as the lines of numbers.
@@ -155,9 +167,10 @@ def csv_table_of(content: bytes, skipped: int = 0, advice: str = "remove the oth
         found = _names_and_units(fitting, usual)
     names, units = found or ([], [])
     if names and (len(names) > len(usual.cells) or any(usual.cells[len(names) :])):
-        raise ValueError(
+        raise CsvTableError(
             f"line {usual.number} must have {len(names)} columns, as many as there are names, has {len(usual.cells)}; "
-            f"if the line above holds no names, {advice}"
+            f"if the line above holds no names, {advice}",
+            usual.number,
         )
     names = names[: usual.width]
     is_named = any(names)

@@ -16,7 +16,6 @@ lines, which depend only on the object, the hand and the hand's position.
 import cmath
 import math
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Final, Literal, Self, TypeAlias, cast
@@ -25,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ConfigDict, Field, Strict, ValidationError, model_validator
 
-from hapticd.base.csv_table import CsvTable, csv_table_of, number_of
+from hapticd.base.csv_table import CsvTable, CsvTableError, csv_table_of, number_of
 from hapticd.base.errors import InvalidError, Problem, known_names, quoted
 from hapticd.base.model import Coordinate, Model, Name, at_most, faults_of, plain
 from hapticd.base.units import UNITS_OF, Quantity, stated_unit, unit_of
@@ -431,8 +430,8 @@ def _csv_document(name: str) -> Document:
             marks[len(rows)] = Marks(line, 1, {})
             rows.append([factor * number for factor, number in zip(factors, numbers, strict=True)])
     except ValueError as error:
-        place = re.match(r"lines? (\d+)", str(error))
-        raise InvalidError([Problem(f"{printable(name)}:{1 if place is None else place[1]}", str(error))]) from None
+        line = error.line if isinstance(error, CsvTableError) else 1
+        raise InvalidError([Problem(f"{printable(name)}:{line}", str(error))]) from None
     return Document({"waypoints": rows}, name, Marks(1, 1, {"waypoints": Marks(1, 1, marks)}))
 
 

@@ -230,11 +230,11 @@ def law_of(
             )
         kind = "line"
     if kind == "line" and r_squared(line) < LOWER_LIMITS["r^2 of the law of taps"].fair and len(speeds) > 3:
-        for other in laid:
-            scatter = left(laid[other][0])
-            if kind == "line" and scatter < left(line) / 2:
-                why = f"a line leaves a scatter of {100 * left(line):.0f} %, this law {100 * scatter:.2g} %"
-                kind = other
+        scatter_of = {each: left(model) for each, (model, _) in laid.items()}
+        kind = next((each for each in laid if scatter_of[each] < scatter_of["line"] / 2), kind)
+        if kind != "line":
+            off, scatter = 100 * scatter_of["line"], 100 * scatter_of[kind]
+            why = f"a line leaves a scatter of {off:.0f} %, this law {scatter:.2g} %"
     if kind != "table":
         chosen_table = table(speeds, amplitudes, variances)
         laid["table"] = (_along(chosen_table, speeds), math.inf)

@@ -472,26 +472,26 @@ def hits_of(recording: Recording, lines: list[str], excluded: Exclusions) -> lis
     loud = Events(recording, lines)
     name, events = recording.name, loud.events
     found: list[TapHit] = []
-    latest = -1
+    last_used = -1
     refused: list[tuple[Event, Unusable]] = []
     for index, event in enumerate(events):
         try:
-            left = found[-1].remainder(event.first / recording.rate_hz) if found else 0.0
+            remainder = found[-1].remainder(event.first / recording.rate_hz) if found else 0.0
             if event.rises:
-                if latest == index - 1 and left <= TAP_LIMITS.max_remainder * event.peak:
+                if last_used == index - 1 and remainder <= TAP_LIMITS.max_remainder * event.peak:
                     loud.allow_ringing_before(index)
-            elif event.noise < left and event.peak <= left + TAP_LIMITS.min_peak_to_noise * event.noise:
+            elif event.noise < remainder and event.peak <= remainder + TAP_LIMITS.min_peak_to_noise * event.noise:
                 # Noise on the ringing of the tap before.
                 continue
             hit = _hit_of(loud, index)
-            left = found[-1].remainder(hit.onset_s) / abs(hit.coefficient_m_per_s2) if found else 0.0
-            if left > TAP_LIMITS.max_remainder:
+            fraction = found[-1].remainder(hit.onset_s) / abs(hit.coefficient_m_per_s2) if found else 0.0
+            if fraction > TAP_LIMITS.max_remainder:
                 raise Unusable(
-                    f"the tap at {found[-1].onset_s:.4g} s still rings with {100 * left:.0f} % of this tap's amplitude"
-                    f", at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: wait longer between taps"
+                    f"the tap at {found[-1].onset_s:.4g} s still rings with {100 * fraction:.0f} % of this tap's "
+                    f"amplitude, at most {100 * TAP_LIMITS.max_remainder:.0f} % is allowed: wait longer between taps"
                 )
             found.append(hit)
-            latest = index
+            last_used = index
         except Unusable as no:
             refused.append((event, no))
         shapeless = sum(no.fault == "shape" for _, no in refused)

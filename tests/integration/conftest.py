@@ -16,6 +16,15 @@ def daemon() -> Iterator[Daemon]:
         yield daemon
 
 
+@pytest.fixture(scope="module")
+def quiet_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """A daemon at 1 kHz without real-time rights; it may miss any number of periods."""
+    config = tmp_path_factory.mktemp("config") / "quiet.yaml"
+    config.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
+    with running_daemon("-c", str(config)) as daemon:
+        yield daemon
+
+
 @pytest.fixture
 def wire(daemon: Daemon) -> Iterator[Wire]:
     with wired(daemon) as wire:

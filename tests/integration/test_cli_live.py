@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -30,11 +29,8 @@ OPERATOR = "waypoints: [[0, 0, 0.01], [0.1, 0, 0.01], [0.2, 0, -0.003], [0.3, 0,
 
 
 @pytest.fixture(scope="module")
-def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
-    config = tmp_path_factory.mktemp("config") / "quiet.yaml"
-    config.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
-    with running_daemon("-c", str(config)) as daemon:
-        yield daemon
+def daemon(quiet_daemon: Daemon) -> Daemon:
+    return quiet_daemon
 
 
 class Shell:

@@ -7,24 +7,20 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import hapticd
-from tests.support.daemon_process import Daemon, connect, running_daemon
+from tests.support.daemon_process import Daemon, connect
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
-    config = tmp_path_factory.mktemp("config") / "servo.yaml"
-    config.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
-    with running_daemon("-c", str(config)) as daemon:
-        yield daemon
+def daemon(quiet_daemon: Daemon) -> Daemon:
+    return quiet_daemon
 
 
 def run(daemon: Daemon | None, folder: Path, *words: str) -> str:

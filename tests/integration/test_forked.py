@@ -17,7 +17,7 @@ import pytest
 
 import hapticd.aio
 from hapticd.base.errors import HapticdError
-from tests.support.daemon_process import Daemon, connect, running_daemon
+from tests.support.daemon_process import Daemon, connect
 from tests.support.fake_daemon import fake_daemon, result
 
 # On a busy machine the daemon turns its forces off (fault `control`), and the end of a stream of forces says so.
@@ -29,11 +29,8 @@ REFUSED = f"this client belongs to process {os.getpid()}: connect again"
 
 
 @pytest.fixture(scope="module")
-def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
-    config = tmp_path_factory.mktemp("config") / "quiet.yaml"
-    config.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
-    with running_daemon("-c", str(config)) as daemon:
-        yield daemon
+def daemon(quiet_daemon: Daemon) -> Daemon:
+    return quiet_daemon
 
 
 def in_child(work: Callable[[], object]) -> object:
