@@ -180,7 +180,7 @@ FIT_LIMITS = {
 
 
 def fit(page: str) -> str:
-    """Return fit.md with the thresholds of all fits, and the limits of the verdicts."""
+    """Return reference/fit_limits.md with the thresholds of all fits, and the limits of the verdicts."""
     for name, values in FIT_LIMITS.items():
         rows = [
             (f"`{each.name}`", f"{getattr(values, each.name):.6g}", each.metadata["unit"], each.metadata["reason"])
@@ -238,7 +238,7 @@ def protocol(page: str) -> str:
 
 PAGES: dict[str, Callable[[str], str]] = {
     "materials.md": materials,
-    "fit.md": fit,
+    "reference/fit_limits.md": fit,
     "protocol.md": protocol,
 }
 

@@ -2,7 +2,7 @@
 
 A fit collects warnings, and reasons against itself, in `Warnings`. Without a reason the fit is good. With a reason it
 is fair, or poor if its results should not be used. LOWER_LIMITS and UPPER_LIMITS are the rules for single values;
-`make docs-tables` copies these rules to docs/fit.md.
+`make docs-tables` copies these rules to docs/reference/fit_limits.md.
 """
 
 from __future__ import annotations
