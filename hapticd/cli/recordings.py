@@ -238,7 +238,8 @@ def lsl_command(duration_s: float | None, as_json: bool) -> int:
     """Stream the samples of the daemon and the event codes of sessions to Lab Streaming Layer.
 
     The outlet `hapticd samples` has a channel for each axis of each quantity. The outlet `hapticd events` has the codes
-    in docs/experiments.md. The command needs the extra `lsl`. It must run on the daemon's machine, whose clock it uses.
+    in docs/reference/studies.md. The command needs the extra `lsl`. It must run on the daemon's machine, whose clock it
+    uses.
     """
     from hapticd.experiment.lsl import EVENTS_OUTLET, SAMPLES_OUTLET, stream
 

@@ -16,7 +16,7 @@ from hapticd.experiment.front import Command
 from tests.experiment.sessions import STAIRCASE, STUDY, NotedStage, ScriptedFront, planned, resumed, started
 from tests.support.daemon_process import connect, running_daemon
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "experiments.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "studies.md"
 SESSION = Path("sub-P07/ses-01")
 
 
@@ -32,7 +32,7 @@ def test_codes_fit_a_trigger_line_and_the_document_has_their_table() -> None:
 
 
 def test_each_interval_has_its_number(tmp_path: Path) -> None:
-    """Trials have two intervals. The numbers are those of the table in docs/experiments.md."""
+    """Trials have two intervals. The numbers are those of the table in docs/reference/studies.md."""
     stage = NotedStage()
     assert started(tmp_path, stage, ScriptedFront(), STAIRCASE).run() == "ended"
     answered = {data["trial"] for _, data in stage.marks if data["code"] == 14}

@@ -1,4 +1,4 @@
-"""The keys of procedures that experiments.md lists are those of a study."""
+"""The keys of procedures that reference/studies.md lists are those of a study."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hapticd.experiment.procedures.constant_stimuli import ConstantStimuliParame
 from hapticd.experiment.procedures.quest_plus import QuestPlusParameters
 from hapticd.experiment.procedures.staircase import StaircaseParameters
 
-PAGE = Path(__file__).parents[2] / "docs" / "experiments.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "studies.md"
 
 
 @pytest.mark.parametrize(
