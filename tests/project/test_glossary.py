@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 GLOSSARY = ROOT / "docs" / "glossary.md"
-PAGES = [ROOT / "README.md", *(page for page in sorted((ROOT / "docs").glob("*.md")) if page != GLOSSARY)]
+PAGES = [ROOT / "README.md", *(page for page in sorted((ROOT / "docs").rglob("*.md")) if page != GLOSSARY)]
 
 
 def anchors() -> list[str]:
@@ -16,7 +16,7 @@ def anchors() -> list[str]:
 
 
 def test_each_term_is_linked_from_a_page_that_uses_it() -> None:
-    linked = {name for page in PAGES for name in re.findall(r"\((?:docs/)?glossary\.md#([\w-]+)\)", page.read_text())}
+    linked = {name for page in PAGES for name in re.findall(r"\((?:docs/|\.\./)?glossary\.md#([\w-]+)\)", page.read_text())}
     assert linked == set(anchors())
 
 
