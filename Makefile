@@ -212,7 +212,7 @@ screenshots: tools ## take the screenshots in docs/: needs Chromium
 
 .PHONY: docs
 docs: tools ## build the documentation as a site in build/site, which needs neither a server nor the network
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@$(BIN)/python -m sphinx -q -W --keep-going -d build/doctrees docs build/site
 	@echo "open build/site/index.html"
 
 .PHONY: docs-tables

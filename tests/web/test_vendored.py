@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tests.web.vendored import PACKAGES, RECORD, ROOT, faults, sha256
 
-LICENCES = {"uplot": "MIT", "@msgpack/msgpack": "ISC", "axe-core": "MPL-2.0", "iframe-worker": "MIT"}
+LICENCES = {"uplot": "MIT", "@msgpack/msgpack": "ISC", "axe-core": "MPL-2.0"}
 
 
 def test_every_file_is_recorded_and_every_record_has_its_file() -> None:
@@ -19,7 +19,7 @@ def test_every_file_is_recorded_and_every_record_has_its_file() -> None:
 
 def test_no_folder_of_packages_is_left_out_of_the_record() -> None:
     recorded = {package["folder"] for package in PACKAGES}
-    for folder in (RECORD.parent, ROOT / "tests" / "web" / "vendor", ROOT / "docs" / "vendor"):
+    for folder in (RECORD.parent, ROOT / "tests" / "web" / "vendor"):
         for path in folder.iterdir():
             assert path == RECORD or path.relative_to(ROOT).as_posix() in recorded
 
