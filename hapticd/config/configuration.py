@@ -347,10 +347,10 @@ def chosen_config(chosen: ConfigFiles, rate_hz: float | None = None) -> Config:
     """
     check_named(chosen)
     files = [file_of(file, "scenes") for file in chosen.files]
+    if rate_hz is None:
+        return load_config(files) if files else default_config()
     documents = load_all(files) if files else [shipped_document(DEFAULT_CONFIG_FILE)]
-    if rate_hz is not None:
-        documents.append(Document({"servo": {"rate_hz": rate_hz}}))
-    return config_of_documents(documents)
+    return config_of_documents([*documents, Document({"servo": {"rate_hz": rate_hz}})])
 
 
 def config_of_documents(documents: Sequence[Document]) -> Config:

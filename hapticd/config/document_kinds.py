@@ -90,7 +90,7 @@ def kind_of(data: Json) -> Kind | None:
 def refuse_other_kinds(document: Document, *accepted: Kind) -> None:
     """Raise InvalidError if a document is of a known kind other than those in `accepted`.
 
-    A document of unknown kind is accepted; its reader checks the keys. Raises InvalidError also if keys of a scene stand
+    A document of unknown kind is accepted; its reader checks the keys. Raises InvalidError also if keys of a scene are
     beside `materials`, `scene` or keys of a configuration.
     """
     keys = document.data.keys() if isinstance(document.data, dict) else set()
