@@ -124,10 +124,13 @@ class Report:
         }
 
 
-def check(config: Config) -> Report:
-    """Check whether device, rate and grip can display the scene of a configuration; return the report."""
+def check(config: Config, *, offline: bool = True) -> Report:
+    """Check whether device, rate and grip can display the scene of a configuration; return the report.
+
+    A joystick that is not connected is a problem unless `offline`.
+    """
     scene, materials = config.scene, config.materials
-    device = _device(config)
+    device = _device(config, offline)
     output = output_of(config, config.servo.rate_hz, device.link_hz)
     shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
@@ -209,7 +212,7 @@ class _Device(NamedTuple):
     """Assumptions about the device, for the report."""
 
 
-def _device(config: Config) -> _Device:
+def _device(config: Config, offline: bool) -> _Device:
     device, rate_hz = config.device, config.servo.rate_hz
     if device.kind == "sim":
         return _Device("the simulated joystick", loop=loop_of(config, rate_hz))
@@ -234,7 +237,8 @@ def _device(config: Config) -> _Device:
         return away._replace(words=f"{error}{handle}", undrivable=(Problem("device.hid", str(error)),))
     except HapticdError as error:
         notes = () if hid.max_rate_hz is not None else (Problem("device.hid.max_rate_hz", _LINK_UNKNOWN_TEXT),)
-        return away._replace(words=f"not connected: {error}{handle}", notes=notes)
+        absent = () if offline else (Problem("device.hid", f"{error}; to check without it: hapticd check --offline"),)
+        return away._replace(words=f"not connected: {error}{handle}", undrivable=absent, notes=notes)
     name = f"{found.name} at {found.path}{handle}"
     try:
         _, plan = found.verdict.driver_and_plan()

@@ -1,6 +1,7 @@
 """The command line. The module of a command is imported when the command is used.
 
-Exit codes: 0 for success; 1 if the command failed or its output cannot be written; 2 for a usage error; 130 for Ctrl-C.
+Exit codes: 0 for success; 1 if the command failed or its output cannot be written; 2 for a usage error; 130 for Ctrl-C;
+141 if nobody reads the output any more.
 With 1 and 2 one line on stderr states the error (see `failure`).
 
 `_MODULE_BY_COMMAND` maps each command to its file. The other files:
@@ -32,6 +33,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from itertools import takewhile
@@ -42,25 +44,22 @@ import click
 from hapticd._version import __version__
 from hapticd.base.errors import HapticdError
 from hapticd.cli.failure import report_error
-from hapticd.cli.streams import guarded
+from hapticd.cli.streams import ReaderGone, guarded
 
-_COMMANDS_BY_MODULE: Final = (
-    ("daemon", "run status reload scene material apply play force reset operator mark"),
-    ("recordings", "watch record recover export flight replay simulate"),
-    ("displayed", "check"),
-    ("machine", "paths schema"),
-    ("devices", "devices"),
-    ("machine", "bench"),
-    ("displayed", "calibrate verify"),
-    ("fit", "fit"),
-    ("experiment", "experiment"),
-    ("sweep", "sweep"),
-    ("recordings", "lsl"),
-    ("web", "web"),
-    ("machine", "doctor install-service stop-device completion"),
-)
-"""Modules and their commands. `hapticd --help` lists the commands in this order."""
-_MODULE_BY_COMMAND: Final = {name: module for module, names in _COMMANDS_BY_MODULE for name in names.split()}
+_SECTIONS: Final = {
+    "Daemon": {"daemon": "run status reload force reset"},
+    "Scene": {"daemon": "apply scene material play operator mark"},
+    "Look and keep": {"recordings": "watch record export lsl", "web": "web"},
+    "Offline": {"recordings": "simulate replay", "displayed": "check", "fit": "fit"},
+    "Studies": {"experiment": "experiment", "sweep": "sweep"},
+    "Device": {"devices": "devices", "displayed": "calibrate verify"},
+    "Machine": {"machine": "doctor install-service"},
+    "": {"machine": "bench completion paths schema stop-device"},
+}
+"""Commands by module and section, as `hapticd --help` lists them. Those without a section are hidden."""
+_MODULE_BY_COMMAND: Final = {
+    name: module for modules in _SECTIONS.values() for module, names in modules.items() for name in names.split()
+}
 
 
 class _LazyGroup(click.Group):
@@ -76,6 +75,15 @@ class _LazyGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_MODULE_BY_COMMAND)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        width = formatter.width - 6 - max(map(len, _MODULE_BY_COMMAND))
+        for section, modules in _SECTIONS.items():
+            listed = [(name, self.get_command(ctx, name)) for name in " ".join(modules.values()).split()]
+            rows = [(name, found.get_short_help_str(width)) for name, found in listed if found and not found.hidden]
+            if rows:
+                with formatter.section(section):
+                    formatter.write_dl(rows)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -142,6 +150,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         return result if isinstance(result, int) else 0
     except (KeyboardInterrupt, click.Abort):
         return 130
+    except ReaderGone:
+        return 128 + signal.SIGPIPE
     except (HapticdError, click.ClickException, MemoryError, OSError, RuntimeError) as error:
         # After a usage error no option is parsed. So --json is searched in the arguments, up to a -- that ends options.
         return report_error(error, as_json="--json" in takewhile("--".__ne__, given))

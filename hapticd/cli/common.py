@@ -54,6 +54,13 @@ config_option = configs_option(
     "Configuration, scene or name of a shipped scene; later files override earlier ones  [env var: HAPTICD_CONFIG; "
     "default: ~/.config/hapticd/config.yaml, else /etc/hapticd/config.yaml, else the simulated joystick]"
 )
+rate_option = click.option(
+    "--rate",
+    "rate_hz",
+    type=Finite(min=0, min_open=True),
+    metavar="HZ",
+    help="Ticks per second [default: the configuration's].",
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing files.")
 

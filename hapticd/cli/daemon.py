@@ -24,6 +24,7 @@ from hapticd.cli.common import (
     print_json,
     print_pairs,
     print_result,
+    rate_option,
     runtime_dir,
 )
 
@@ -54,14 +55,15 @@ def _file(name: str) -> str:
 
 @click.command("run")
 @config_option
+@rate_option
 @log_options
-def run_command(configs: tuple[str, ...], log_level: str) -> int:
+def run_command(configs: tuple[str, ...], rate_hz: float | None, log_level: str) -> int:
     """Run the daemon in the foreground."""
     # Garbage collection while modules are imported takes time and frees nothing. The daemon enables it again.
     gc.disable()
     from hapticd.daemon.process import run
 
-    return run(configs, runtime_dir(), log_level)
+    return run(configs, runtime_dir(), log_level, rate_hz)
 
 
 @click.command("status")
@@ -145,21 +147,10 @@ def scene_list(as_json: bool) -> None:
 @scene_command.command("get", short_help="Print the scene as YAML.")
 @json_option
 def scene_get(as_json: bool) -> None:
-    """Print the scene as YAML, which `scene set` accepts."""
+    """Print the scene as YAML, which `apply` accepts."""
     with daemon() as client:
         result = client.get_scene()
     print_result(result, as_json, f"# revision {result['revision']}\n{yaml_text({'scene': result['scene']})}")
-
-
-@scene_command.command("set", short_help="Replace the scene.")
-@click.argument("file", shell_complete=names.scenes)
-@_change_options
-def scene_set(file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
-    """Replace the scene by the scene in FILE: YAML, the name of a shipped scene, or - for standard input."""
-    from hapticd.config.shipped_files import file_of
-
-    source = file_of(file, "scenes")
-    _change(as_json, lambda client: client.set_scene(source, expect_revision, wait))
 
 
 @scene_command.command("update", short_help="Change some objects of the scene.")
@@ -198,7 +189,7 @@ def _materials() -> Mapping[str, object]:
 @material_command.command("list", short_help="Print all materials as YAML.")
 @json_option
 def material_list(as_json: bool) -> None:
-    """Print all materials of the daemon as YAML, which `material set` accepts.
+    """Print all materials of the daemon as YAML, which `apply` accepts.
 
     If no daemon runs, print the shipped materials, with a note on stderr.
     """
@@ -210,7 +201,7 @@ def material_list(as_json: bool) -> None:
 @click.argument("name", shell_complete=names.materials)
 @json_option
 def material_get(name: str, as_json: bool) -> None:
-    """Print the material NAME as YAML, which `material set` accepts.
+    """Print the material NAME as YAML, which `apply` accepts.
 
     If no daemon runs, print the shipped material, with a note on stderr.
     """
@@ -226,17 +217,6 @@ def material_get(name: str, as_json: bool) -> None:
     print_result({**result, **found}, as_json, yaml_text(found))
 
 
-@material_command.command("set", short_help="Replace the materials in a file.")
-@click.argument("file", type=click.Path())
-@_change_options
-def material_set(file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
-    """Replace the materials in FILE; other materials are kept.
-
-    FILE is YAML, or - for standard input.
-    """
-    _change(as_json, lambda client: client.set_materials(_file(file), expect_revision, wait))
-
-
 @material_command.command("update", short_help="Change some keys of materials.")
 @click.argument("file", type=click.Path())
 @_change_options
@@ -246,6 +226,13 @@ def material_update(file: str, expect_revision: int | None, wait: bool, as_json:
     FILE is YAML, or - for standard input.
     """
     _change(as_json, lambda client: client.update_materials(_file(file), expect_revision, wait))
+
+
+for _group in (scene_command, material_command):
+    # Other names of `apply`, after the methods of the protocol.
+    _group.add_command(
+        click.Command("set", None, apply_command.callback, apply_command.params, apply_command.help, hidden=True)
+    )
 
 
 # ---- Immediate commands ---------------------------------------------------------------------------------------------
@@ -347,21 +334,28 @@ def reset_command(objects: tuple[str, ...], as_json: bool) -> None:
 
 @click.command("operator", short_help="Move the hand of the simulated joystick.")
 @click.argument("file", shell_complete=names.operators)
+@click.option("--wait", is_flag=True, help="Wait until the motion has ended.")
 @json_option
-def operator_command(file: str, as_json: bool) -> None:
+def operator_command(file: str, wait: bool, as_json: bool) -> int:
     """Move the hand of the simulated joystick as FILE describes.
 
-    FILE is YAML with waypoints or a gesture, CSV with waypoints, or the name of a shipped operator.
+    FILE is YAML with waypoints or a gesture, CSV with waypoints, or the name of a shipped operator. With --wait the
+    exit code is 1 if another motion replaced this one before its end.
     """
     from hapticd.config.shipped_files import file_of
 
     source = file_of(file, "operators")
     with daemon() as client:
         result = client.set_operator(source)
-        forces = client.get_status()["forces"]
-    if forces != "on":
-        note("forces are off: no force acts on the moving hand; `hapticd status` gives the reason")
-    print_result(result, as_json, f"takes {wording.duration(result['duration_s'])}")
+        if client.get_status()["forces"] != "on":
+            note("forces are off: no force acts on the moving hand; `hapticd status` gives the reason")
+        end = client.wait_gesture() if wait else None
+    takes = f"takes {wording.duration(result['duration_s'])}"
+    if end is None:
+        print_result(result, as_json, takes)
+        return 0
+    print_result({**result, **end}, as_json, takes if end["completed"] else f"{takes}; replaced by another motion")
+    return 0 if end["completed"] else 1
 
 
 def _json(text: str) -> Json:

@@ -11,6 +11,7 @@ from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_new, write_atomically
 from hapticd.base.yaml_text import yaml_text
+from hapticd.cli import names
 from hapticd.cli.common import (
     Finite,
     config_option,
@@ -41,20 +42,22 @@ _TAKE_HOLD_TEXT: Final = "Hold the handle in the middle of its travel as it will
 
 
 @click.command("check", short_help="Check what can be displayed and what may oscillate.")
+@click.argument("files", nargs=-1, metavar="[FILE]...", shell_complete=names.scenes)
 @config_option
+@click.option("--offline", is_flag=True, help="Accept that the joystick of the configuration is not connected.")
 @json_option
-def check_command(configs: tuple[str, ...], as_json: bool) -> int:
+def check_command(files: tuple[str, ...], configs: tuple[str, ...], offline: bool, as_json: bool) -> int:
     """Check which materials and surfaces can be displayed with this device, rate and grip.
 
-    Nothing moves, and no daemon is needed. The exit code is 0 if all of the scene can be displayed as written and
-    nothing may oscillate, otherwise 1. Unknown stability, as of a joystick without device.handle, and stability that is
-    not proved are reported, and do not change the exit code.
+    FILEs override the configuration, as materials and a scene do. Nothing moves, and no daemon is needed. The exit code
+    is 0 if all of the scene can be displayed as written and nothing may oscillate, otherwise 1. Unknown stability, as
+    of a joystick without device.handle, and stability that is not proved are reported, and do not change the exit code.
     """
     from hapticd.analysis.check import check
     from hapticd.config.configuration import config_of
 
-    config = config_of(configs)
-    report = check(config)
+    config = config_of((*configs, *files))
+    report = check(config, offline=offline)
     if as_json:
         print_json(report.to_dict())
     else:

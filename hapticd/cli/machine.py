@@ -43,13 +43,16 @@ _COMPLETION_CALL: Final = re.compile(r"(_complete \$1|_complete hapticd|\(comman
 
 @click.command("doctor", short_help="Check whether this machine is ready.")
 @config_option
+@click.option("--paths", is_flag=True, help="Print the paths of files, sockets and shipped scenes instead.")
 @json_option
-def doctor_command(configs: tuple[str, ...], as_json: bool) -> int:
+def doctor_command(configs: tuple[str, ...], paths: bool, as_json: bool) -> int:
     """Check whether this machine is ready for the daemon, with a remedy for each problem.
 
     The permissions are those of the user who runs the command. Nothing is changed. The command waits at most 5 s for
     systemd and 2 s for the daemon. The exit code is 1 if something that the configuration needs is missing.
     """
+    if paths:
+        return _print_paths(configs, as_json)
     from hapticd._version import __version__
     from hapticd.config.locations import choose
     from hapticd.doctor import diagnose
@@ -98,7 +101,7 @@ def _status() -> Mapping[str, object] | None:
     return None
 
 
-@click.command("paths", short_help="Print the paths of files and sockets.")
+@click.command("paths", short_help="Print the paths of files and sockets.", hidden=True)
 @config_option
 @json_option
 def paths_command(configs: tuple[str, ...], as_json: bool) -> int:
@@ -106,6 +109,10 @@ def paths_command(configs: tuple[str, ...], as_json: bool) -> int:
 
     Nothing is created, and no daemon is needed. The exit code is 1 if the configuration is faulty.
     """
+    return _print_paths(configs, as_json)
+
+
+def _print_paths(configs: tuple[str, ...], as_json: bool) -> int:
     from hapticd.config.configuration import chosen_config
     from hapticd.config.locations import choose
     from hapticd.config.shipped_files import folder_of, shipped, units_folder
@@ -153,7 +160,7 @@ def _place(path: str | None) -> str:
     return path if os.path.lexists(path) else f"{path} (does not exist)"
 
 
-@click.command("schema", short_help="Print a schema of the configuration or protocol.")
+@click.command("schema", short_help="Print a schema of the configuration or protocol.", hidden=True)
 @click.option(
     "--protocol",
     type=click.Choice(["openrpc", "asyncapi"]),
@@ -194,7 +201,7 @@ def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Pa
         note(f"to start the service: systemctl {'--user ' if user else ''}enable --now hapticd")
 
 
-@click.command("stop-device", short_help="Stop the device of a killed daemon.")
+@click.command("stop-device", short_help="Stop the device of a killed daemon.", hidden=True)
 @json_option
 def stop_device_command(as_json: bool) -> None:
     """Set the force of a killed daemon's device to zero, and stop its effects.
@@ -225,7 +232,7 @@ def script(shell: str) -> str:
     return source.replace('string split ","', 'string split -m 1 ","')
 
 
-@click.command("completion", short_help="Print the completion script of a shell.")
+@click.command("completion", short_help="Print the completion script of a shell.", hidden=True)
 @click.argument("shell", type=click.Choice(list(SCRIPT_PATH_BY_SHELL)))
 def completion_command(shell: str) -> None:
     """Print the script with which SHELL completes commands, options, files, scenes, materials and objects.
@@ -263,7 +270,7 @@ def _bench() -> ModuleType:
         ) from None
 
 
-@click.command("bench", short_help="Measure speed and accuracy on this machine.")
+@click.command("bench", short_help="Measure speed and accuracy on this machine.", hidden=True)
 @click.argument("names", nargs=-1)
 @click.option("--list", "list_names", is_flag=True, help="List the names of the benchmarks.")
 @click.option("--quick", is_flag=True, help="Run for a minute or two; the figures are not precise.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from contextlib import suppress
 from dataclasses import asdict
 
 import click
@@ -13,7 +14,7 @@ from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.cli import names
 from hapticd.cli.common import (
-    Finite,
+    configs_option,
     daemon,
     for_option,
     json_option,
@@ -22,6 +23,7 @@ from hapticd.cli.common import (
     output_option,
     overwrite_option,
     print_result,
+    rate_option,
     status_line,
     stopped_by_signals,
 )
@@ -49,18 +51,43 @@ def watch_command(duration_s: float | None, as_json: bool) -> None:
 
 @click.command("record", short_help="Record telemetry to a file.")
 @click.argument("file", type=click.Path())
-@for_option("until Ctrl-C")
+@for_option("until Ctrl-C, or the end of the operator")
+@click.option(
+    "--operator",
+    metavar="FILE",
+    shell_complete=names.operators,
+    help="Motion of the simulated hand, as for `hapticd operator`, which begins after the first tick.",
+)
+@click.option("--past", is_flag=True, help="Write the last seconds, which the daemon keeps (the flight recorder).")
+@click.option("--recover", is_flag=True, help="Complete killed recordings to FILE instead, as NAME.recovered.npz.")
 @notes_option
 @overwrite_option
 @json_option
-def record_command(file: str, duration_s: float | None, notes: dict[str, str], overwrite: bool, as_json: bool) -> int:
+def record_command(
+    file: str,
+    duration_s: float | None,
+    operator: str | None,
+    past: bool,
+    recover: bool,
+    notes: dict[str, str],
+    overwrite: bool,
+    as_json: bool,
+) -> int:
     """Record every tick and event to FILE (.npz), with the configuration, scene and materials for `hapticd replay`.
 
     FILE appears when the recording is complete. If its suffix is .mcap or .csv, the recording goes to the .npz of the
-    same name, and FILE is exported from it at the end. A note reports an earlier recording to FILE that was killed and
-    can be recovered with `hapticd recover FILE`.
+    same name, and FILE is exported from it at the end. With --operator the recording ends with the motion.
+
+    A note reports an earlier recording to FILE that was killed. --recover completes it: recordings that are running and
+    files that cannot be read are kept and reported, and the exit code is 1 if nothing was recovered.
     """
-    from hapticd.client.record import record
+    if past or recover:
+        if (past and recover) or duration_s is not None or operator is not None or notes:
+            raise click.UsageError("--past and --recover cannot be combined, nor with --for, --operator or --note")
+        return _recover(file, as_json) if recover else _write_past(file, overwrite, as_json)
+    from hapticd.client.record import ended_early, record
+    from hapticd.config.shipped_files import file_of
+    from hapticd.protocol.calls import TimedOut
     from hapticd.recording.recording import check_target
     from hapticd.recording.recovery import partial_files_warning
 
@@ -68,32 +95,32 @@ def record_command(file: str, duration_s: float | None, notes: dict[str, str], o
     found = partial_files_warning(file)
     if found is not None:
         note(found)
+    motion = None if operator is None else file_of(operator, "operators")
+    end_s: float | None = None
     with daemon() as client, stopped_by_signals() as stop, status_line() as show:
-        recording = record(
-            client,
-            file,
-            duration_s,
-            overwrite=overwrite,
-            notes=notes,
-            stop=stop,
-            progress=lambda recorded_s: show(f"recording, {recorded_s:.1f} s"),
-        )
+
+        def progress(recorded_s: float) -> None:
+            nonlocal end_s
+            show(f"recording, {recorded_s:.1f} s")
+            if motion is None or recorded_s == 0:
+                return
+            if end_s is None:
+                end_s = recorded_s + client.set_operator(motion)["duration_s"]
+            elif recorded_s >= end_s:
+                with suppress(TimedOut):
+                    client.wait_gesture(0.0)
+                    stop.set()
+
+        recording = record(client, file, duration_s, overwrite=overwrite, notes=notes, stop=stop, progress=progress)
     print_result(asdict(recording), as_json, recording.summary())
-    if stop.signal is None and recording.ended_because is not None:
-        note(f"{recording.ended_because}; {recording.file} has everything before that")
+    early = ended_early(recording.ended_because)
+    if early is not None:
+        note(f"{early}; {recording.file} has everything before that")
         return 1
     return stop.exit_code(duration_s)
 
 
-@click.command("recover", short_help="Recover the partial files of a killed recording.")
-@click.argument("file", type=click.Path(dir_okay=False))
-@json_option
-def recover_command(file: str, as_json: bool) -> int:
-    """Recover each recording to FILE that was killed or could not be completed, as NAME.recovered.npz.
-
-    Files that cannot be read and recordings that are running are kept and reported. The exit code is 1 if nothing was
-    recovered.
-    """
+def _recover(file: str, as_json: bool) -> int:
     from hapticd.recording.recovery import recover
 
     found = recover(file)
@@ -107,6 +134,17 @@ def recover_command(file: str, as_json: bool) -> int:
     return 0 if files else 1
 
 
+def _write_past(file: str, overwrite: bool, as_json: bool) -> int:
+    from hapticd.client.flight_summary import summed_up, written_flight
+    from hapticd.recording.recording import check_saved
+
+    check_saved(file, overwrite)
+    with daemon() as client:
+        found, line = summed_up(written_flight(client), file, overwrite)
+    print_result(found, as_json, line)
+    return 0
+
+
 @click.command("export", short_help="Convert a recording to .csv or .mcap.")
 @click.argument("file", type=click.Path(dir_okay=False))
 @click.argument("target", type=click.Path())
@@ -114,8 +152,8 @@ def recover_command(file: str, as_json: bool) -> int:
 def export_command(file: str, target: str, overwrite: bool) -> None:
     """Convert the recording FILE to TARGET: .mcap for robotics tools, .csv for other programs.
 
-    FILE is a .npz of `record`, `simulate` or `flight`. With .csv the events go to a second file, NAME.events.csv, and
-    scene and materials to a third, NAME.about.json.
+    FILE is a .npz of `record` or `simulate`, or a flight file. With .csv the events go to a second file,
+    NAME.events.csv, and scene and materials to a third, NAME.about.json.
     """
     from hapticd.recording.recording import check_saved, load
 
@@ -123,29 +161,6 @@ def export_command(file: str, target: str, overwrite: bool) -> None:
     recording = load(file)
     saved = recording.save(target, overwrite)
     click.echo(f"{saved}: {len(recording.samples):,} ticks, {len(recording.events):,} events")
-
-
-@click.command("flight", short_help="Write the last seconds of samples to a file.")
-@click.argument("file", required=False, type=click.Path())
-@overwrite_option
-@json_option
-def flight_command(file: str | None, overwrite: bool, as_json: bool) -> None:
-    """Write the last seconds of samples and events to a flight file of the daemon, and to FILE if given.
-
-    FILE is .npz, .csv or .mcap. The flight file is on the machine of the daemon.
-    """
-    from hapticd.client.flight_summary import summed_up, written_flight
-    from hapticd.recording.recording import check_saved
-
-    if file is not None:
-        check_saved(file, overwrite)
-    with daemon() as client:
-        written = written_flight(client)
-    found: dict[str, object] = {"file": written}
-    line = f"{written} on the daemon's machine"
-    if file is not None or os.path.exists(written):
-        found, line = summed_up(written, file, overwrite)
-    print_result(found, as_json, line)
 
 
 @click.command("replay", short_help="Render a recording again and compare forces.")
@@ -156,7 +171,7 @@ def flight_command(file: str | None, overwrite: bool, as_json: bool) -> None:
 def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
     """Render FILE again, without a daemon and not in real time, and compare the forces with the recorded ones.
 
-    FILE is a .npz of `record`, `simulate` or `flight`. The exit code is 1 if any bit of the forces differs.
+    FILE is a .npz of `record` or `simulate`, or a flight file. The exit code is 1 if any bit of the forces differs.
     """
     from hapticd.recording.recording import check_target
     from hapticd.recording.replay import replay
@@ -171,7 +186,8 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
 
 
 @click.command("simulate", short_help="Simulate a scene without a daemon.")
-@click.argument("scene", shell_complete=names.scenes)
+@click.argument("files", nargs=-1, metavar="FILE...", shell_complete=names.scenes)
+@configs_option("Configuration below the FILEs, such as that of a device; may be repeated.")
 @click.option(
     "--operator",
     metavar="FILE",
@@ -180,18 +196,13 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
 )
 @output_option(f"File for the samples {_EXPORT_HELP}  [default: none, only a summary is printed]")
 @for_option("until the operator ends")
-@click.option(
-    "--rate",
-    "rate_hz",
-    type=Finite(min=0, min_open=True),
-    metavar="HZ",
-    help="Ticks per second [default: the configuration's].",
-)
+@rate_option
 @notes_option
 @overwrite_option
 @json_option
 def simulate_command(
-    scene: str,
+    files: tuple[str, ...],
+    configs: tuple[str, ...],
     operator: str | None,
     output: str | None,
     duration_s: float | None,
@@ -200,27 +211,32 @@ def simulate_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Simulate SCENE with the simulated joystick, without a daemon and not in real time.
+    """Simulate the scene in all FILEs with the simulated joystick, without a daemon and not in real time.
 
-    SCENE is YAML with a scene or a complete configuration, or the name of a shipped scene. The core is that of the
-    daemon, and every run has the same result. The handle starts at the first waypoint if that is at 0 s; otherwise, and
-    with a gesture, at device.sim.start_m of the configuration.
+    A FILE is YAML with a scene, materials or a complete configuration, or the name of a shipped scene. Later files
+    override earlier ones. The core is that of the daemon, and every run has the same result. The handle starts at the
+    first waypoint if that is at 0 s; otherwise, and with a gesture, at device.sim.start_m of the configuration.
+
+    \b
+    hapticd simulate pine.yaml scene.yaml --operator tap.yaml
     """
     from hapticd.config.shipped_files import file_of, shipped, shipped_scenes
     from hapticd.recording.simulated import configuration, simulate_files
     from hapticd.rendering.undisplayable_text import undisplayable_text
 
-    file = file_of(scene, "scenes")
-    operator = operator or next((each.operator for each in shipped_scenes() if each.file == file), None)
+    given = [file_of(file, "scenes") for file in (*configs, *files)]
+    if not given:
+        raise click.UsageError("Missing argument 'FILE...': a scene, or the name of a shipped scene")
+    operator = operator or next((each.operator for each in shipped_scenes() if each.file in given), None)
     if operator is None:
-        if file != "/dev/stdin":
-            configuration(file)  # a fault of the scene is reported first
+        if "/dev/stdin" not in given:
+            configuration(given)  # a fault of the scene is reported first
         known = ", ".join(shipped("operators"))
         raise click.UsageError(f"Missing option '--operator': a file with the motion of the hand, or one of {known}")
     if output is None and (notes or overwrite):
         raise click.UsageError("--note and --overwrite need -o, the file of the recording")
     result = simulate_files(
-        file, file_of(operator, "operators"), output, duration_s, rate_hz, overwrite=overwrite, notes=notes
+        given, file_of(operator, "operators"), output, duration_s, rate_hz, overwrite=overwrite, notes=notes
     )
     for mode in result["undisplayable"]:
         note(undisplayable_text(mode))
@@ -228,7 +244,7 @@ def simulate_command(
     kinds = ", ".join(wording.count(number, kind) for kind, number in result["event_counts"].items())
     events = f"{wording.count(result['events'], 'event')}{f' ({kinds})' if kinds else ''}"
     force = f"largest force {wording.si(result['largest_force_n'], 'N')}"
-    print_result(result, as_json, f"{result['file'] or scene}: {length}, {events}, {force}")
+    print_result(result, as_json, f"{result['file'] or ', '.join((*configs, *files))}: {length}, {events}, {force}")
 
 
 @click.command("lsl", short_help="Stream samples and events to Lab Streaming Layer.")

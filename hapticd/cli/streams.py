@@ -15,10 +15,14 @@ if TYPE_CHECKING:
 
 
 class OutputLost(HapticdError, OSError):
-    """Standard output cannot be written: a closed pipe, a full disk, a closed terminal.
+    """Standard output cannot be written: a full disk, a closed terminal.
 
     `errno` is not set: click and rich exit without a message if an exception has the errno of a closed pipe.
     """
+
+
+class ReaderGone(OutputLost):
+    """Standard output is a pipe that nobody reads any more, as in `hapticd schema | head`: no message is printed."""
 
 
 class _Stream(io.FileIO):
@@ -40,6 +44,8 @@ class _Stream(io.FileIO):
         except OSError as error:
             before, self.lost = self.lost, True
             if self._raises and not before:
+                if isinstance(error, BrokenPipeError):
+                    raise ReaderGone from None
                 raise OutputLost(f"standard output: cannot be written: {error.strerror}") from None
             return memoryview(data).nbytes
         self.lost = False

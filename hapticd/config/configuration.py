@@ -339,14 +339,18 @@ def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
     return chosen_config(choose(paths))
 
 
-def chosen_config(chosen: ConfigFiles) -> Config:
+def chosen_config(chosen: ConfigFiles, rate_hz: float | None = None) -> Config:
     """Load the chosen configuration files as load_config does; without files return the built-in configuration.
 
-    A shipped scene may be given by its name. Raises HapticdError also if $HAPTICD_CONFIG names a missing file.
+    A shipped scene may be given by its name. `rate_hz` replaces servo.rate_hz. Raises HapticdError also if
+    $HAPTICD_CONFIG names a missing file.
     """
     check_named(chosen)
     files = [file_of(file, "scenes") for file in chosen.files]
-    return load_config(files) if files else default_config()
+    if rate_hz is None:
+        return load_config(files) if files else default_config()
+    documents = load_all(files) if files else [shipped_document(DEFAULT_CONFIG_FILE)]
+    return config_of_documents([*documents, Document({"servo": {"rate_hz": rate_hz}})])
 
 
 def config_of_documents(documents: Sequence[Document]) -> Config:

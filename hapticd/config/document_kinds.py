@@ -38,11 +38,11 @@ MATERIAL_KEYS: Final = (
 _COMMAND_OF_KIND: Final[dict[Kind, tuple[str, str]]] = {
     "configuration": ("a configuration", "run -c"),
     "change": ("materials and a scene", "apply"),
-    "scene": ("a scene", "scene set"),
-    "bare scene": ("a scene", "scene set"),
+    "scene": ("a scene", "apply"),
+    "bare scene": ("a scene", "apply"),
     "objects": ("objects", "scene update"),
-    "materials": ("materials", "material set"),
-    "bare materials": ("materials", "material set"),
+    "materials": ("materials", "apply"),
+    "bare materials": ("materials", "apply"),
     "waypoints": ("waypoints", "operator"),
     "gesture": ("a gesture", "operator"),
     "study": ("a study", "experiment check"),
@@ -90,8 +90,16 @@ def kind_of(data: Json) -> Kind | None:
 def refuse_other_kinds(document: Document, *accepted: Kind) -> None:
     """Raise InvalidError if a document is of a known kind other than those in `accepted`.
 
-    A document of unknown kind is accepted; its reader checks the keys.
+    A document of unknown kind is accepted; its reader checks the keys. Raises InvalidError also if keys of a scene are
+    beside `materials`, `scene` or keys of a configuration.
     """
+    keys = document.data.keys() if isinstance(document.data, dict) else set()
+    if not keys.isdisjoint(("materials", "scene", *CONFIGURATION_KEYS)):
+        misplaced = [
+            Problem(document.where((key,)), "belongs below the key `scene`") for key in SCENE_KEYS if key in keys
+        ]
+        if misplaced:
+            raise InvalidError(misplaced)
     kind = kind_of(document.data)
     if kind is not None and kind not in accepted:
         raise _for_another_command(document, kind)

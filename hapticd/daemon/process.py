@@ -60,15 +60,16 @@ def run(
     config_paths: Sequence[str | os.PathLike[str]] = (),
     runtime_dir: str | os.PathLike[str] | None = None,
     log_level: str = "info",
+    rate_hz: float | None = None,
 ) -> int:
     """Run the daemon until SIGTERM or SIGINT, and return its exit code.
 
     SIGHUP reloads the configuration or, if the daemon was started on a terminal, ends it.
 
     `config_paths` are merged in order; without any, the configuration is searched (config/locations.py). A reload reads
-    the same files again, or searches again if none was found. `log_level`: one of journal.LOG_LEVELS. Raises
-    HapticdError if the daemon cannot start: invalid configuration, another daemon in the runtime directory, or
-    required real-time rights that are refused.
+    the same files again, or searches again if none was found. `log_level`: one of journal.LOG_LEVELS. `rate_hz`
+    replaces servo.rate_hz. Raises HapticdError if the daemon cannot start: invalid configuration, another daemon in the
+    runtime directory, or required real-time rights that are refused.
     """
     with ExitStack() as stack:
         memory.return_large_blocks()
@@ -78,16 +79,22 @@ def run(
         stack.enter_context(journal.attached(log_level))
         stack.push(_log_end)
         chosen = choose(config_paths)
-        config = chosen_config(chosen)
+        config = chosen_config(chosen, rate_hz)
         stack.callback(os.umask, os.umask(0o007))
         signals = stack.enter_context(_signals())
         mine = stack.enter_context(owned(runtime_paths(runtime_dir)))
         lib.hd_last_report_arm()
-        return _run(config, chosen, mine, signals, stack, connections)
+        return _run(config, chosen, rate_hz, mine, signals, stack, connections)
 
 
 def _run(
-    config: Config, chosen: ConfigFiles, mine: Owned, signals: socket.socket, stack: ExitStack, connections: int
+    config: Config,
+    chosen: ConfigFiles,
+    rate_hz: float | None,
+    mine: Owned,
+    signals: socket.socket,
+    stack: ExitStack,
+    connections: int,
 ) -> int:
     paths = mine.paths
     stop_file = StopFile(paths.device)
@@ -103,7 +110,7 @@ def _run(
         lambda: _about(engine, methods),
     )
     methods = Methods(
-        engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.state()
+        engine, lambda: chosen_config(chosen if chosen.files else choose(), rate_hz), flight, lambda: telemetry.state()
     )
     threads.check(threads.DAEMON_THREADS)
     publisher = Publisher(mine.listen(paths.telemetry), TELEMETRY_TOPICS, TELEMETRY_SOCKET_LIMITS.of(connections))

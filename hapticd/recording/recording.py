@@ -189,7 +189,7 @@ def check_saved(target: str | os.PathLike[str], overwrite: bool) -> None:
 
 
 def load(path: str | os.PathLike[str]) -> Recording:
-    """Read a recording: the .npz of `hapticd record`, `hapticd simulate` or `hapticd flight`.
+    """Read a recording: the .npz of `hapticd record` or `hapticd simulate`, or a flight file.
 
     Its samples are mapped into memory, so that the file may be larger than the memory. Raises HapticdError if the file
     is not a recording.

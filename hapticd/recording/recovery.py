@@ -1,6 +1,6 @@
 """Recovery of recordings whose process was killed, from their partial files.
 
-`hapticd record` warns of partial files next to its target; `hapticd recover` makes recordings of them.
+`hapticd record` warns of partial files next to its target; `hapticd record --recover` makes recordings of them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hapticd.recording.recording import recording_path
 from hapticd.recording.writer import NOTES_ENDING, RecordingWriter
 
 _DAMAGED_TEXT: Final = "damaged; left unchanged"
-"""Why a damaged partial file was not recovered, in the output of `hapticd recover`."""
+"""Why a damaged partial file was not recovered, in the output of `hapticd record --recover`."""
 
 
 class Recovered(NamedTuple):
@@ -43,7 +43,7 @@ def partial_files_warning(target: str | os.PathLike[str]) -> str | None:
     more = f" and {len(parts) - 1} more" if len(parts) > 1 else ""
     return (
         f"{printable(name)}: {printable(parts[0].name)}{more} in its folder: another recording is running, or was "
-        f"killed; `hapticd recover {shlex.quote(name)}` recovers killed ones"
+        f"killed; `hapticd record --recover {shlex.quote(name)}` recovers killed ones"
     )
 
 

@@ -22,7 +22,7 @@ from hapticd.rendering.offline import simulate_run
 
 
 def simulate_files(
-    scene: str,
+    scenes: Sequence[str],
     operator_file: str,
     output: str | None,
     duration_s: float | None,
@@ -31,14 +31,14 @@ def simulate_files(
     overwrite: bool = False,
     notes: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Simulate a scene or a configuration with the simulated joystick, and write a recording if `output` is given.
+    """Simulate the scene in configuration files with the simulated joystick; write a recording if `output` is given.
 
     `rate_hz` replaces the configured rate. Returns the map that `hapticd simulate --json` prints. Raises HapticdError
     or InvalidError for invalid values and for files that cannot be read or written. An existing output without
     `overwrite` is refused before the simulation.
     """
     with nullcontext() if output is None else recording_into(output, overwrite) as writer:
-        config = configuration(scene)
+        config = configuration(scenes)
         run = simulate_run(config, operator_file, duration_s, rate_hz)
         if writer is not None:
             objects = run.objects
@@ -79,7 +79,8 @@ def write_run(
     writer.finish({"recording": about}, {} if truth is None else {"truth": truth})
 
 
-def configuration(path: str) -> Config:
-    """Load a configuration from a file with a configuration or a scene. Raises HapticdError or InvalidError."""
-    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene")
-    return load_config(path)
+def configuration(paths: Sequence[str]) -> Config:
+    """Load a configuration from files, as load_config does. Raises InvalidError also for a single file of materials."""
+    if len(paths) == 1:
+        refuse_other_kinds(load_path(paths[0]), "configuration", "change", "scene", "bare scene")
+    return load_config(paths)

@@ -62,7 +62,7 @@ class RecordingWriter:
     """Writer of a recording, a context manager.
 
     At the end of the `with` block, an unfinished recording is deleted; if finishing failed, its partial files stay for
-    `hapticd recover`. Methods raise DiskFullError on a full disk, HapticdError for other failures.
+    `hapticd record --recover`. Methods raise DiskFullError on a full disk, HapticdError for other failures.
     """
 
     def __init__(self, target: str | os.PathLike[str], overwrite: bool = False, *, resume: Path | None = None) -> None:
@@ -311,7 +311,7 @@ class RecordingWriter:
         # Unless the disk is full, partial files stay: they may hold an hour of samples.
         if self.count and error.errno not in _DISK_FULL_ERRORS and self._part.is_there():
             self._keep_partial_files = True
-            command = f"hapticd recover {shlex.quote(self._name)}"
+            command = f"hapticd record --recover {shlex.quote(self._name)}"
             message += f"; the samples are kept, and `{command}` makes a recording of them"
         self._close()
         raise HapticdError(message) from None

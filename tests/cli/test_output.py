@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import subprocess
 import sys
 from contextlib import nullcontext
 from dataclasses import asdict
@@ -231,8 +233,8 @@ WITH_JSON = [
     ["reset"],
     ["watch"],
     ["record", "x.npz"],
-    ["recover", "x.npz"],
-    ["flight"],
+    ["record", "--recover", "x.npz"],
+    ["record", "--past", "x.npz"],
     ["replay", "none.npz"],
     ["simulate", "none.yaml", "--operator", "none.yaml", "-o", "x.npz"],
     ["check", "-c", "none.yaml"],
@@ -351,7 +353,7 @@ def test_options_select_the_log_level(
     options: list[str], level: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given: list[object] = []
-    monkeypatch.setattr("hapticd.daemon.process.run", lambda *words: given.append(words[-1]) or 0)
+    monkeypatch.setattr("hapticd.daemon.process.run", lambda *words: given.append(words[2]) or 0)
     monkeypatch.setattr("gc.disable", lambda: None)
     assert main(["run", *options]) == 0
     assert given == [level]
@@ -367,3 +369,13 @@ def test_force_off_reports_a_latched_fault(monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr(daemon, "daemon", lambda: nullcontext(Faulted()))
     assert main(["force", "off"]) == 0
     assert capsys.readouterr().out == "forces off: a fault is latched; see `hapticd status`\n"
+
+
+@pytest.mark.parametrize("arguments", [["schema"], ["scene", "list"], ["doctor", "--paths"]], ids=" ".join)
+def test_an_output_that_nobody_reads_ends_the_command_silently(arguments: list[str], tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(tmp_path), *arguments]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, b"")

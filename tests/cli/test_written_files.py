@@ -13,7 +13,7 @@ COMMANDS = {
     "record": ("record", "out.npz", "--for", "1s"),
     "record as csv": ("record", "out.csv", "--for", "1s"),
     "record as mcap": ("record", "out.mcap", "--for", "1s"),
-    "flight": ("flight", "out.npz"),
+    "record, the past": ("record", "out.npz", "--past"),
     "export": ("export", "none.npz", "out.mcap"),
     "simulate": ("simulate", "none.yaml", "--operator", "none.yaml", "-o", "out.npz"),
     "replay": ("replay", "none.npz", "-o", "out.npz"),

@@ -73,9 +73,9 @@ READERS = {
     "fit tap": ["fit", "tap"],
 }
 FILES = {
-    "scene.yaml": (SCENE, "a scene", "scene set"),
+    "scene.yaml": (SCENE, "a scene", "apply"),
     "floor.yaml": (f"floor: {FLOOR}\n", "objects", "scene update"),
-    "pine.yaml": (PINE, "materials", "material set"),
+    "pine.yaml": (PINE, "materials", "apply"),
     "both.yaml": (PINE + "scene: {}\n", "materials and a scene", "apply"),
     "tap.yaml": (TAP, "a gesture", "operator"),
     "path.yaml": (PATH, "waypoints", "operator"),
@@ -156,3 +156,13 @@ def test_misspelt_gestures_are_refused_with_a_suggestion(
     Path("s.yaml").write_text(SCENE + "  honey: {kind: viscous, damping_n_s_per_m: 1}\n")
     Path("g.yaml").write_text(f"gesture: {gesture}\n")
     assert problem in said(capsys, 1, "simulate", "s.yaml", "--operator", "g.yaml", "-o", "x.npz")
+
+
+@pytest.mark.parametrize("words", ["simulate FILE --operator taps", "check FILE", "apply FILE", "run -c FILE"])
+def test_objects_beside_materials_belong_below_scene(
+    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "both.yaml"
+    file.write_text("materials: {pine: {stiffness_n_per_m: 500}}\nobjects: {}\n")
+    given = ["--runtime-dir", str(tmp_path), *words.replace("FILE", str(file)).split()]
+    assert said(capsys, 1, *given) == f"hapticd: {file}:2:1: objects: belongs below the key `scene`\n"

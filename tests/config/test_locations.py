@@ -97,13 +97,13 @@ def test_help_names_the_variables(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "HAPTICD_CONFIG" in out and "[env var: HAPTICD_RUNTIME_DIR" in out
-    for command in ("run", "check", "doctor", "paths"):
+    for command in ("run", "check", "doctor"):
         assert main([command, "--help"]) == 0
         assert "[env var: HAPTICD_CONFIG" in " ".join(capsys.readouterr().out.split())
 
 
 def test_paths(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["paths", "--json"]) == 0
+    assert main(["doctor", "--paths", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["configuration"] == {
         "origin": "built in",
@@ -130,7 +130,7 @@ def test_paths(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_paths_as_text(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["paths"]) == 0
+    assert main(["doctor", "--paths"]) == 0
     first, *rest = capsys.readouterr().out.splitlines()
     assert first == (
         f"configuration      built in; there is no {home}/.config/hapticd/config.yaml and no {locations.SYSTEM_CONFIG}"
@@ -139,20 +139,20 @@ def test_paths_as_text(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert any(re.match(r"shipped studies    /.*/experiments: .*\bjnd_frequency\b", line) for line in rest)
     user = written(home / ".config/hapticd/config.yaml", 1002)
     Path(user).write_text("flight: {directory: /var/tmp/flights}\n")
-    assert main(["paths"]) == 0
+    assert main(["doctor", "--paths"]) == 0
     out = capsys.readouterr().out
     assert f"configuration      {user}\n" in out and "flight files       /var/tmp/flights" in out
 
 
 def test_paths_with_a_configuration_that_cannot_be_read(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     user = written(home / ".config/hapticd/config.yaml", 1)
-    assert main(["paths", "--json"]) == 1
+    assert main(["doctor", "--paths", "--json"]) == 1
     captured = capsys.readouterr()
     found = json.loads(captured.out)
     fault = f"{user}:1:9: servo.rate_hz: should be greater than or equal to 1000, is 1"
     assert (found["configuration"]["files"], found["flight_files"]) == ([user], None)
     assert (found["configuration"]["fault"], captured.err) == (fault, "")
-    assert main(["paths"]) == 1
+    assert main(["doctor", "--paths"]) == 1
     captured = capsys.readouterr()
     first, second, *rest = captured.out.splitlines()
     assert (first, second) == (f"configuration      {user}", f"its fault          {fault}")

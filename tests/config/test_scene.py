@@ -421,9 +421,9 @@ def test_sources(tmp_path: pathlib.Path) -> None:
         ),
         (
             "scene: {}\ngesture: {}\nobjects: {}\n",
-            r"^\S*bad.yaml:2:\d+: gesture: unknown key; known: scene; "
-            r"\S*bad.yaml:3:\d+: objects: unknown key; known: scene$",
+            r"^\S*bad.yaml:3:\d+: objects: belongs below the key `scene`$",
         ),
+        ("scene: {}\ngesture: {}\n", r"^\S*bad.yaml:2:\d+: gesture: unknown key; known: scene$"),
         ("scene:\n", r"bad.yaml:1:\d+: scene: should be a mapping, is null"),
         ("- 1\n", r"bad.yaml:1:\d+: should be a mapping, is a list"),
     ],

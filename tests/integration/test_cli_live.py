@@ -16,6 +16,7 @@ import pytest
 
 from hapticd.base.yaml_source import load_text
 from hapticd.cli import main
+from hapticd.recording.recording import load
 from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 
 ROOT = Path(__file__).parents[2]
@@ -172,7 +173,7 @@ def test_materials_are_set_whole_and_updated_in_parts(shell: Shell) -> None:
     shell("material", "set", "m.yaml")
     assert lichen() == {"stiffness_n_per_m": 80, "damping_n_s_per_m": 0}
     Path("m.yaml").write_text("lichen: null\n")
-    assert "update_materials removes" in shell.fails("material", "set", "m.yaml")
+    assert "holds neither materials nor a scene" in shell.fails("material", "set", "m.yaml")
     shell("material", "update", "m.yaml")
     assert shell.fails("material", "get", "lichn").startswith('hapticd: unknown material "lichn"; known: ')
 
@@ -229,22 +230,44 @@ def test_shipped_scenes_and_operators_by_their_names(shell: Shell) -> None:
 def test_files_for_another_command(shell: Shell) -> None:
     Path("wool.yaml").write_text("materials:\n  wool: {stiffness_n_per_m: 90}\n")
     Path("part.yaml").write_text("lamp: {kind: viscous, damping_n_s_per_m: 1}\n")
-    for command in (["scene", "set"], ["scene", "update"], ["material", "set"], ["material", "update"]):
+    taken = {
+        "apply": ("scene.yaml", "wool.yaml"),
+        "scene set": ("scene.yaml", "wool.yaml"),
+        "scene update": ("scene.yaml", "part.yaml"),
+        "material update": ("wool.yaml",),
+    }
+    for command, accepted in taken.items():
         for name, what, taker in (
-            ("scene.yaml", "a scene", "scene set"),
+            ("scene.yaml", "a scene", "apply"),
             ("part.yaml", "objects", "scene update"),
-            ("wool.yaml", "materials", "material set"),
+            ("wool.yaml", "materials", "apply"),
             ("operator.yaml", "waypoints", "operator"),
         ):
-            if taker.split()[0] == command[0] and (command[1] == "update" or taker == " ".join(command)):
+            if name in accepted:
                 continue
-            assert shell.fails(*command, name) == f"hapticd: {name}: holds {what}; use: hapticd {taker} {name}\n"
+            said = shell.fails(*command.split(), name)
+            assert said == f"hapticd: {name}: holds {what}; use: hapticd {taker} {name}\n"
     np.savez("r.npz", samples=np.zeros(3))
     assert (
         shell.fails("operator", "r.npz")
         == "hapticd: r.npz: an archive, not YAML; for a recording use: hapticd replay\n"
     )
-    assert shell.fails("operator", "wool.yaml").endswith(": holds materials; use: hapticd material set wool.yaml\n")
+    assert shell.fails("operator", "wool.yaml").endswith(": holds materials; use: hapticd apply wool.yaml\n")
+
+
+def test_a_motion_is_waited_for_and_recorded(shell: Shell) -> None:
+    shell("apply", "scene.yaml", "--wait")
+    ended = json.loads(shell("operator", "operator.yaml", "--wait", "--json"))
+    assert ended["completed"] and ended["started_tick"] < ended["tick"]
+    assert "nothing lost" in shell("record", "moved.npz", "--operator", "operator.yaml")
+    recording = load("moved.npz")
+    assert len(recording.samples) / recording.rate_hz >= ended["duration_s"]
+    moved = [event for event in recording.events if event["event"] == "gesture_end"]
+    assert [event["completed"] for event in moved] == [True]
+    # A motion that cannot begin leaves no file.
+    Path("tap.yaml").write_text("gesture: {kind: tap, object: nobody, speed_m_per_s: 0.1}\n")
+    assert '"nobody"' in shell.fails("record", "none.npz", "--operator", "tap.yaml")
+    assert not Path("none.npz").exists()
 
 
 def test_ids_with_typos(shell: Shell) -> None:
@@ -286,13 +309,11 @@ def test_run_says_which_configuration_it_took(tmp_path: Path, monkeypatch: pytes
         assert found.said().splitlines()[0].endswith(f"configuration: {path}")
 
 
-def test_a_whole_configuration_is_no_change_of_a_part(shell: Shell) -> None:
+def test_one_command_takes_materials_and_a_scene(shell: Shell) -> None:
     Path("all.yaml").write_text("materials:\n  moss: {stiffness_n_per_m: 90}\n" + SCENE)
-    before = json.loads(shell("status", "--json"))["revision"]
-    told = "hapticd: all.yaml: holds materials and a scene; use: hapticd apply all.yaml\n"
-    assert shell.fails("material", "set", "all.yaml") == told
-    assert shell.fails("scene", "set", "all.yaml") == told
-    assert json.loads(shell("status", "--json"))["revision"] == before
+    for command in ("apply", "scene set", "material set"):
+        assert "in force from tick" in shell(*command.split(), "all.yaml", "--wait")
+    assert "moss" in shell("material", "get", "moss")
 
 
 def test_play_force_reset_operator(shell: Shell) -> None:

@@ -194,7 +194,16 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         until(lambda: client.get_status()["faults"] == ["lease"])
         until(lambda: (client.get_status()["flight"] or {})["skipped"] == 1)
         copy = tmp_path / "mine.npz"
-        command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight", str(copy)]
+        command = [
+            sys.executable,
+            "-m",
+            "hapticd",
+            "--runtime-dir",
+            str(daemon.directory),
+            "record",
+            "--past",
+            str(copy),
+        ]
         told = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True).stdout
         assert (json.loads(told)["file"], json.loads(told)["events"] > 0) == (str(copy), True)
         with np.load(copy) as file:
@@ -230,7 +239,8 @@ def test_a_disk_that_takes_no_more_is_told_and_changes_nothing(tmp_path: Path) -
             assert (told["written"], told["under_way"], told["last"]) == (0, 0, None)
             assert not [path for path in daemon.directory.iterdir() if "flight" in path.name]
             until(lambda: client.get_status()["forces"] == "on")  # a servo that waits for a processor has said nothing
-            command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight"]
+            past = ["record", "--past", str(tmp_path / "past.npz")]
+            command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), *past]
             refused = subprocess.run(command, capture_output=True, text=True, check=False)
             assert refused.returncode == 1
             assert "File too large" in refused.stderr

@@ -85,7 +85,7 @@ def test_the_flight_recorder_s_file_is_on_the_daemon_s_machine(
 ) -> None:
     """Here both are one machine, so that what is in it can be told."""
     with running_daemon() as daemon, forwarded(daemon, tmp_path) as near:
-        assert main(["--runtime-dir", str(near), "flight", str(tmp_path / "copy.npz")]) == 0
+        assert main(["--runtime-dir", str(near), "record", "--past", str(tmp_path / "copy.npz")]) == 0
     assert "ticks in" in capsys.readouterr().out and (tmp_path / "copy.npz").exists()
 
 

@@ -207,7 +207,7 @@ def test_what_a_killed_recording_left_is_told_by_the_next(daemon: Daemon, tmp_pa
     assert process.returncode == 0 and "nothing lost" in out
     assert err == (
         f"hapticd: {target}: {part.name} in its folder: another recording is running, or was killed; "
-        f"`hapticd recover {target}` recovers killed ones\n"
+        f"`hapticd record --recover {target}` recovers killed ones\n"
     )
     assert recover(target).files == [tmp_path / "run.recovered.npz"]
     assert sorted(os.listdir(tmp_path)) == ["run.npz", "run.recovered.npz"]
@@ -575,7 +575,16 @@ def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path) -> None
         client.set_operator([[0, 0, 0.01]], interpolation="linear")
 
         def flight(*arguments: str) -> subprocess.CompletedProcess[str]:
-            command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight", *arguments]
+            command = [
+                sys.executable,
+                "-m",
+                "hapticd",
+                "--runtime-dir",
+                str(daemon.directory),
+                "record",
+                "--past",
+                *arguments,
+            ]
             return subprocess.run(command, capture_output=True, text=True, check=False)
 
         told = flight(str(target)).stdout

@@ -115,12 +115,12 @@ def test_a_recording_that_cannot_be_renamed_is_kept(tmp_path: Path, monkeypatch:
         writer.write(noisy(20_000, 0))
         writer.finish({})
     assert str(caught.value) == (
-        f"{target}: cannot be written: Permission denied; the samples are kept, and `hapticd recover '{target}'` "
-        "makes a recording of them"
+        f"{target}: cannot be written: Permission denied; the samples are kept, and `hapticd record --recover "
+        f"'{target}'` makes a recording of them"
     )
     monkeypatch.undo()
     told = partial_files_warning(target)
-    assert told is not None and f"hapticd recover '{target}'" in told
+    assert told is not None and f"hapticd record --recover '{target}'" in told
     (made,) = recover(target).files
     assert load(made).samples.tobytes() == noisy(20_000, 0).tobytes()
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
@@ -184,7 +184,7 @@ def test_a_damaged_part_stops_no_recording_and_shows_nothing(
             writer.write(some(3))
             writer.finish({"scene": {}})
         assert len(load(target).samples) == 3
-        code = main(["recover", str(target)])
+        code = main(["record", "--recover", str(target)])
         out, err = capsys.readouterr()
         assert code in (0, 1) and "Traceback" not in err and "$6$" not in err and (out + err).isascii(), err
         assert all(line.startswith("hapticd: ") for line in err.splitlines()), err
@@ -210,5 +210,5 @@ def test_partial_files_stay_if_the_disk_has_no_room(tmp_path: Path, monkeypatch:
 
 
 def test_recover_says_that_nothing_lies_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["recover", str(tmp_path / "run.npz")]) == 1
+    assert main(["record", "--recover", str(tmp_path / "run.npz")]) == 1
     assert capsys.readouterr().err == f"hapticd: {tmp_path}/run.npz: no partial files of a recording to this file\n"

@@ -5,7 +5,7 @@ python -m tests.soak.soak [--for 3600s] [--rate 10000] [--warm-up 300s] [--seed 
 One daemon on the simulated joystick. The hand taps, strokes over grooves and sandpaper and
 punctures a membrane; some twenty times a second an object or a material changes, each change at the revision that is
 expected; ten clients come, ask, subscribe and leave, some of them killed, two of them never reading what they
-subscribed to; `hapticd record` writes .npz and .mcap in turn, `hapticd flight` and `hapticd watch` run now and
+subscribed to; `hapticd record` writes .npz and .mcap in turn, `hapticd record --past` and `hapticd watch` run now and
 then; the configuration is reloaded; a lease is renewed. A client reads every sample, and recordings must hold the very
 same bytes.
 
@@ -517,7 +517,7 @@ class Soak:
         rng = self.rng("flight")
         file = self.folder / "flight.npz"
         while not self.stop.wait(rng.uniform(20, 60)):
-            self._run(hapticd(self.place, "flight", str(file), "--overwrite"))
+            self._run(hapticd(self.place, "record", "--past", str(file), "--overwrite"))
             self._compare(file, None)
             self.count("flight files")
 

@@ -95,7 +95,7 @@ TAP = {"pine/tap/1.npz": "a"}
         ({"pine/tap/2.npz.yaml": "", **TAP}, "pine/tap/2.npz.yaml: describes 2.npz, which does not exist"),
         ({"pine/tap/1.npz.yml": "", **TAP}, "pine/tap/1.npz.yml: must be named 1.npz.yaml"),
         ({"pine/fit.yaml": "", **TAP}, "pine/fit.yaml:1:1: is empty; known keys: kind, stiffness_n_per_m, strict, as"),
-        ({"pine/fit.yaml": "objects: {}", **TAP}, "holds a scene; use: hapticd scene set {root}/pine/fit.yaml"),
+        ({"pine/fit.yaml": "objects: {}", **TAP}, "holds a scene; use: hapticd apply {root}/pine/fit.yaml"),
         ({"fit.yaml": "\nlaws: line", **TAP}, "fit.yaml:2:1: laws: unknown key; did you mean law?"),
         ({"fit.yaml": "as: pulse", **TAP}, "fit.yaml:1:1: as: should be 'auto', 'mode' or 'waveform', is "),
         (

@@ -137,7 +137,7 @@ def test_another_kind_of_file_names_the_command_that_takes_it(
 ) -> None:
     (tmp_path / "scene.yaml").write_text("objects: {}\n")
     code, _, err = ran(capsys, "run", str(tmp_path / "scene.yaml"))
-    assert code == 1 and "hapticd scene set" in err
+    assert code == 1 and "hapticd apply" in err
 
 
 def test_points_with_equal_input_are_one_point(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """The output files of a batch in addition to its rows: a YAML file for each material, and CSV tables.
 
-    materials/NAME.yaml   a file for `hapticd -c` and `hapticd material set`, as written by `hapticd fit -o`
+    materials/NAME.yaml   a file for `hapticd -c` and `hapticd apply`, as written by `hapticd fit -o`
     ranking.csv           a row for each fit, the best material first
     figures.csv           a row for each estimated quantity of each fit, with its 95 % confidence interval
 
