@@ -1,13 +1,12 @@
 """The sheet of the plot: twelve panels with letters, residuals and captions, and one legend for all of them.
 
-Three colours have the same meaning in all panels. They are those of Okabe and Ito, and differ in brightness and in mark:
-blue dots are measured, the orange line is the library, the black dashed line is the paper. The dots lie over the lines.
+Three colours, of the palette of Okabe and Ito, have the same meaning in all panels: blue dots are measured, an orange
+line is the library, a black dashed line is the paper. They also differ in brightness and in mark. Dots lie over lines.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MEASURED: Final[dict[str, Any]] = {"color": "#0072B2", "ls": "none", "marker": "o", "ms": 2.4, "mew": 0, "zorder": 4}
+MEASURED: Final[dict[str, Any]] = {"color": "#0072B2", "ls": "none", "marker": "o", "ms": 2.8, "mew": 0, "zorder": 4}
 LIBRARY: Final[dict[str, Any]] = {"color": "#E69F00", "ls": "-", "lw": 2.2, "zorder": 2}
 PAPER: Final[dict[str, Any]] = {"color": "#000000", "ls": (0, (3, 2)), "lw": 0.9, "zorder": 3}
 GUIDE_COLOR: Final = "#BBBBBB"
@@ -44,20 +43,22 @@ LETTERS: Final = "abcdefghijkl"
 CELL_IN: Final = (3.34, 3.42)
 """Width and height of a cell; this and all other lengths of the sheet are in inches."""
 LEFT_IN, RIGHT_IN, TITLE_IN, CURVES_IN, BETWEEN_IN, RESIDUAL_IN, LABEL_IN = 0.62, 0.12, 0.26, 1.5, 0.08, 0.52, 0.42
+WIDE_IN: Final = CELL_IN[0] - LEFT_IN - RIGHT_IN
 HEADER_IN: Final = 0.95
 FOOTER_IN: Final = 0.62
-CAPTION_CHARACTERS: Final = 58
+CAPTION_CHARACTERS: Final = 52
 """Longest line of a caption; it fits the width of a cell."""
-MAX_DOTS: Final = 130
+MAX_DOTS: Final = 70
 """Largest number of samples that are drawn of a curve, so that the lines below the dots remain visible."""
-MIN_RESIDUAL_PERCENT: Final = 1.0
-"""Smallest range of the axis of residuals, so that rounding errors do not fill it."""
+RESIDUAL_TICKS_PERCENT: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""Ticks of residuals. The smallest is 1 %, so that rounding errors do not fill the axis."""
+PNG_COLORS: Final = 64
 FOOTNOTE: Final = (
-    "Captions: measured / library / paper; n is the number of fitted taps or strikes. Residual: measured minus library, in "
-    "(a) to (g), (i) and (j) in % of the largest value of the library's curve, in (h), (k) and (l) in % of the library's "
-    "value. Curves of library and paper are computed for the true speed of the handle; the measured values come from the "
-    "speed that the daemon estimates. Paper's curves: eq. 1 to 3 with the figures that the paper prints. Where it prints "
-    "none, no curve is drawn."
+    "Captions give measured / library / paper; n is the number of fitted taps, strikes or ruptures. Residuals are "
+    "measured minus library: in (a) to (g), (i) and (j) in % of the largest value of the library's curve, in (h), (k) "
+    "and (l) in % of the library's value. The curves of library and paper are those of the true speed of the handle. "
+    "The daemon renders with an estimate of this speed. The curves of the paper are its equations 1 to 3 with the "
+    "figures that it prints. Where it prints none, no curve is drawn."
 )
 
 
@@ -71,12 +72,13 @@ def percent_of_value(measured: Floats, library: Floats) -> Floats:
     return np.asarray(100 * (measured / library - 1))
 
 
-def spread(values: Sequence[float], gap: float) -> list[float]:
-    """Return positions for labels at rising `values`: each at least `gap` above the one before."""
-    placed: list[float] = []
-    for value in values:
-        placed.append(max(value, placed[-1] + gap) if placed else value)
-    return placed
+def spread(values: Floats, gap: float) -> Floats:
+    """Return positions of labels at rising `values`: each at least `gap` above the one before, and near its value."""
+    steps = gap * np.arange(len(values))
+    # Labels that only give way upwards, and labels that only give way downwards, are equally far from their values.
+    upwards = np.maximum.accumulate(values - steps) + steps
+    downwards = np.minimum.accumulate((values - steps)[::-1])[::-1] + steps
+    return np.asarray((upwards + downwards) / 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,20 +103,24 @@ class Panel:
 
     def residual(self, x: Floats, percent: Floats, marker: str = "o") -> None:
         """Draw residuals, and widen the axis for them."""
-        from matplotlib.ticker import MaxNLocator
-
+        widened = bool(self.residuals.lines)
         self.residuals.plot(x, percent, **{**MEASURED, "ms": 1.8, "marker": marker})
         self.residuals.axhline(0.0, color=GUIDE_COLOR, lw=0.8, zorder=1)
-        limit = max(MIN_RESIDUAL_PERCENT, 1.2 * float(abs(percent).max(initial=0.0)), self.residuals.get_ylim()[1])
-        self.residuals.set_ylim(-limit, limit)
-        self.residuals.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
+        largest = max(float(abs(percent).max(initial=0.0)), self.residuals.get_yticks()[-1] if widened else 0.0)
+        tick = next((tick for tick in RESIDUAL_TICKS_PERCENT if 1.2 * tick >= largest), largest)
+        self.residuals.set_yticks([-tick, 0, tick])
+        self.residuals.set_ylim(-1.4 * tick, 1.4 * tick)
 
-    def caption(self, text: str) -> None:
-        lines = textwrap.fill(text, CAPTION_CHARACTERS)
-        below = -(LABEL_IN / RESIDUAL_IN)
-        left = -(LEFT_IN - 0.1) / (CELL_IN[0] - LEFT_IN - RIGHT_IN)
+    def caption(self, *lines: str) -> None:
+        """Write lines below the panel, and break those that are too long."""
         self.residuals.text(
-            left, below, lines, transform=self.residuals.transAxes, va="top", fontsize=7.8, linespacing=1.15
+            -(LEFT_IN - 0.1) / WIDE_IN,
+            -LABEL_IN / RESIDUAL_IN,
+            "\n".join(textwrap.fill(line, CAPTION_CHARACTERS) for line in lines),
+            transform=self.residuals.transAxes,
+            va="top",
+            fontsize=7.8,
+            linespacing=1.15,
         )
 
     def empty(self, reason: str) -> None:
@@ -128,7 +134,7 @@ class Panel:
         step = max(1, -(-len(x) // MAX_DOTS))
         self.curves.plot(x[::step], measured[::step], **MEASURED)
         self.residual(x[::step], percent_of_peak(measured, library)[::step])
-        return "" if step == 1 else f" One sample of {step} is drawn."
+        return "" if step == 1 else f", one sample of {step} drawn"
 
 
 def sheet() -> tuple[Figure, list[Panel]]:
@@ -139,8 +145,7 @@ def sheet() -> tuple[Figure, list[Panel]]:
     figure = Figure(figsize=(width, height))
 
     def axes(left: float, top: float, high: float, **shared: Any) -> Axes:
-        wide = CELL_IN[0] - LEFT_IN - RIGHT_IN
-        return figure.add_axes((left / width, 1 - (top + high) / height, wide / width, high / height), **shared)
+        return figure.add_axes((left / width, 1 - (top + high) / height, WIDE_IN / width, high / height), **shared)
 
     panels = []
     for number, letter in enumerate(LETTERS):
@@ -175,7 +180,12 @@ def finish(figure: Figure, rate_hz: float, skipped: int, periods: int) -> None:
     figure.text(0.1 / width, 0.06 / height, textwrap.fill(FOOTNOTE, 172), fontsize=7.8, va="bottom", linespacing=1.2)
 
 
-def write(figure: Figure, paths: Iterable[Path]) -> None:
-    """Write the figure to files, in the formats of their suffixes."""
-    for path in paths:
-        figure.savefig(path, dpi=140, metadata={"Date": None} if path.suffix == ".svg" else None)
+def write(figure: Figure, png: Path) -> None:
+    """Write the figure to a PNG and, beside it, an SVG."""
+    from PIL import Image
+
+    figure.savefig(png, dpi=120)
+    with Image.open(png) as drawn:
+        # Fewer colours make the file a third as large.
+        drawn.convert("RGB").quantize(PNG_COLORS, dither=Image.Dither.NONE).save(png, optimize=True)
+    figure.savefig(png.with_suffix(".svg"), metadata={"Date": None})

@@ -134,7 +134,7 @@ def measured(recorded: Recorded, material: Material) -> Combing:
 
 
 def table(found: Combing, material: Material, marks: Marks) -> Table:
-    """Return the table of measured figures, library and paper with residuals, without figures if there are too few strikes."""
+    """Return the table of measured figures, library, paper and residuals, without figures if strikes are too few."""
     grooves, mode, strikes = material.texture, material.groove_mode, found.strikes
     assert isinstance(grooves, Grooves) and mode is not None
     rows = Table(title=f"Strokes over {MATERIAL}: strikes found in telemetry")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from examples.demo import canvas, comb, paper, puncture, sandpaper
 from examples.demo.canvas import LIBRARY, MEASURED, PAPER, Panel
@@ -15,7 +16,7 @@ from examples.demo.parts import Seen
 from examples.demo.perform import MASS_KG, Floats, Recorded
 from examples.demo.puncture import Torn
 from examples.demo.sandpaper import Sanding, peak_of
-from examples.demo.strikes import ENDS_AFTER_DECAY_TIMES
+from examples.demo.strikes import ENDS_AFTER_DECAY_TIMES, ON_TICK_S
 from examples.demo.taps import Tapped
 from hapticd.analysis.drawing import drawing, plain_decades
 from hapticd.config.materials import Material, Materials, Mode
@@ -25,7 +26,7 @@ PLOT: Final = Path(__file__).parents[2] / "demo.png"
 """File of the plot in the repository, which git ignores. Beside it is the same plot as SVG."""
 DRAWN_STROKE: Final = 4
 """Index in `comb.STROKES` of the stroke that is drawn. It goes to the right."""
-DRAWN_SPACINGS: Final = (-0.3, 2.7)
+DRAWN_SPACINGS: Final = (-0.2, 1.8)
 """Part of the comb that is drawn, in spacings."""
 DRAWN_RUPTURE_S: Final = (-0.02, 0.018)
 """Time that is drawn before and after the rupture."""
@@ -37,28 +38,33 @@ def save(seen: Mapping[str, Seen], library: Materials, rate_hz: float, skipped: 
     """Draw every part with enough measurements, and write the plot to PLOT and as SVG beside it."""
     with drawing(canvas.SETTINGS, "hapticd demo"):
         figure, panels = canvas.sheet()
-        left = iter(panels)
-        fits = {name: each.measured for name, each in seen.items() if isinstance(each.measured, Tapped) and each.enough}
-        for name, each in seen.items():
-            if library[name].tap is not None and _begun(panel := next(left), name, each):
-                _tap(panel, name, each, library[name])
-        panel = next(left)
-        panel.title("taps on all materials")
-        if fits:
-            _slopes(panel, fits, library)
-        else:
-            panel.empty("Not enough measured: no material has enough taps.")
-        torn, combed, sanded = seen[puncture.MATERIAL], seen[comb.MATERIAL], seen[sandpaper.MATERIAL]
-        if _begun(panel := next(left), f"puncture of {puncture.MATERIAL}", torn):
-            _puncture(panel, torn.best[0], torn.measured, library[puncture.MATERIAL])
-        if _begun(panel := next(left), "stroke over a comb", combed):
-            _stroke(panel, combed.best[0], library[comb.MATERIAL])
-        if _begun(panel := next(left), "strikes of the comb", combed):
-            _strikes(panel, combed.measured, library[comb.MATERIAL])
-        if _begun(panel := next(left), f"spectrum of {sandpaper.MATERIAL}", sanded):
-            _spectrum(panel, sanded.measured, library[sandpaper.MATERIAL], rate_hz)
+        draw(panels, seen, library, rate_hz)
         canvas.finish(figure, rate_hz, skipped, periods)
-        canvas.write(figure, (PLOT, PLOT.with_suffix(".svg")))
+        canvas.write(figure, PLOT)
+
+
+def draw(panels: Sequence[Panel], seen: Mapping[str, Seen], library: Materials, rate_hz: float) -> None:
+    """Draw the measurements into the panels, in the order of the parts, the slopes of all taps after the taps."""
+    left = iter(panels)
+    fits = {name: each.measured for name, each in seen.items() if isinstance(each.measured, Tapped) and each.enough}
+    for name, each in seen.items():
+        if library[name].tap is not None and _begun(panel := next(left), f"tap on {name}", each):
+            _tap(panel, name, each, library[name])
+    panel = next(left)
+    panel.title("taps on all materials")
+    if fits:
+        _slopes(panel, fits, library)
+    else:
+        panel.empty("Not enough measured: no material has enough taps.")
+    torn, combed, sanded = seen[puncture.MATERIAL], seen[comb.MATERIAL], seen[sandpaper.MATERIAL]
+    if _begun(panel := next(left), f"puncture of {puncture.MATERIAL}", torn):
+        _puncture(panel, torn.best[0], torn.measured, library[puncture.MATERIAL])
+    if _begun(panel := next(left), "stroke over a comb", combed):
+        _stroke(panel, combed.best[0], library[comb.MATERIAL])
+    if _begun(panel := next(left), "strikes of the comb", combed):
+        _strikes(panel, combed.measured, library[comb.MATERIAL])
+    if _begun(panel := next(left), f"spectrum of {sandpaper.MATERIAL}", sanded):
+        _spectrum(panel, sanded.measured, library[sandpaper.MATERIAL], rate_hz)
 
 
 def _begun(panel: Panel, title: str, seen: Seen) -> bool:
@@ -71,20 +77,20 @@ def _begun(panel: Panel, title: str, seen: Seen) -> bool:
 
 def _ringing(since: Floats, mode: Mode) -> Floats:
     """Return a mode of amplitude 1 that begins at 0 and ends after five decay times."""
-    rings = (since >= 0) & (since <= ENDS_AFTER_DECAY_TIMES / mode.decay_rate_per_s)
+    rings = (since >= 0) & (since <= ENDS_AFTER_DECAY_TIMES / mode.decay_rate_per_s + ON_TICK_S)
     after = np.where(rings, since, 0.0)
     return np.asarray(np.exp(-mode.decay_rate_per_s * after) * np.sin(mode.angular_frequency_rad_per_s * after))
 
 
 def _tap(panel: Panel, name: str, seen: Seen, material: Material) -> None:
     recorded, best, found = *seen.best, seen.measured
-    tap, printed = material.tap, paper.TAPS[name]
+    tap, printed, strikes = material.tap, paper.TAPS[name], found.strikes
     assert tap is not None
     chosen = int(np.where(best.unscaled, best.true_speed, 0.0).argmax())
     speed, onset_s, decay_s = best.true_speed[chosen], best.strikes.due_s[chosen], tap.mode.decay_time_s
     since = recorded.time_s - onset_s
     window = (since > -0.2 * decay_s) & (since < 5.5 * decay_s)
-    fine = np.linspace(-0.2 * decay_s, 5.5 * decay_s, 800)
+    fine = np.linspace(-0.2 * decay_s, 5.5 * decay_s, 400)
     amplitude = tap.amplitude_m_per_s2(speed)
     panel.curves.plot(1e3 * fine, amplitude * _ringing(fine, tap.mode), **LIBRARY)
     panel.curves.plot(1e3 * fine, printed.slope_per_s * speed * _ringing(fine, printed.mode), **PAPER)
@@ -93,10 +99,11 @@ def _tap(panel: Panel, name: str, seen: Seen, material: Material) -> None:
     )
     panel.axes("time after contact, ms", "acceleration, m/s²")
     panel.caption(
-        f"Tap at {speed:.3f} m/s. Frequency {found.strikes.frequency_hz:.1f} / {tap.mode.frequency_hz:.0f} / "
-        f"{printed.frequency_hz:g} Hz. Decay time {1e3 * found.strikes.decay_time_s:.2f} / {1e3 * decay_s:.2f} / "
-        f"{1e3 * printed.decay_time_s:.2f} ms. Amplitude over speed {found.slope(found.true_speed):.0f} / "
-        f"{tap.amplitude_m_per_s2(1.0):.0f} / {printed.slope_per_s:g} 1/s. n = {found.count}.{drawn}"
+        f"Tap at {speed:.3f} m/s, n = {found.count}{drawn}",
+        f"Frequency {strikes.frequency_hz:.1f} / {tap.mode.frequency_hz:.0f} / {printed.frequency_hz:g} Hz",
+        f"Decay time {1e3 * strikes.decay_time_s:.2f} / {1e3 * decay_s:.2f} / {1e3 * printed.decay_time_s:.2f} ms",
+        f"Amplitude over speed {found.slope(found.true_speed):.0f} / {tap.amplitude_m_per_s2(1.0):.0f} / "
+        f"{printed.slope_per_s:g} 1/s",
     )
 
 
@@ -116,14 +123,14 @@ def _slopes(panel: Panel, fits: Mapping[str, Tapped], library: Materials) -> Non
         panel.residual(found.true_speed[used], canvas.percent_of_value(measured, law))
     top = 1.05 * max(heights.values())
     ordered = sorted(heights, key=heights.__getitem__)
-    for name, height in zip(ordered, canvas.spread([heights[name] for name in ordered], 0.085 * top), strict=True):
+    for name, height in zip(ordered, canvas.spread(np.array(sorted(heights.values())), 0.073 * top), strict=True):
         panel.curves.text(1.02 * fastest, height, name.replace("_", " "), va="center", fontsize=7.5)
     panel.curves.set(xlim=(0.0, 1.36 * fastest), ylim=(0.0, top))
     panel.axes("approach speed, m/s", "amplitude, m/s²")
     count = sum(found.count for found in fits.values())
     panel.caption(
-        "Amplitude of each tap below the force limit, over the true speed of the handle. The library's slopes are those of "
-        f"Table 1 of the paper. n = {count}."
+        f"Amplitude of taps below the force limit, n = {count}",
+        "The slopes of library and paper are in (a) to (g). The slopes of the paper are those of its Table 1.",
     )
 
 
@@ -139,19 +146,22 @@ def _puncture(panel: Panel, recorded: Recorded, torn: Torn, material: Material) 
         rung = MASS_KG * rupture.amplitude_m_per_s2 * _ringing(at, rupture.mode)
         return np.asarray(np.where(at < 0, elastic, rung))
 
-    fine, after = np.linspace(*DRAWN_RUPTURE_S, 1500), np.linspace(0.0, DRAWN_RUPTURE_S[1], 800)
+    fine, after = np.linspace(*DRAWN_RUPTURE_S, 761), np.linspace(0.0, DRAWN_RUPTURE_S[1], 361)
     panel.curves.plot(1e3 * fine, force(fine), **LIBRARY)
     printed = paper.PUNCTURE_AMPLITUDE_M_PER_S2 * _ringing(after, paper.PUNCTURE_MODE)
     panel.curves.plot(1e3 * after, MASS_KG * printed, **PAPER)
     measured = recorded.samples["contact_force_n"][window, 1] + recorded.samples["vibration_force_n"][window, 1]
     drawn = panel.waveform(1e3 * since[window], measured, force(since[window]))
     panel.axes("time after rupture, ms", "force, N")
+    angular, decay = 2 * np.pi * torn.strikes.frequency_hz, 1 / torn.strikes.decay_time_s
+    mode, printed_mode = rupture.mode, paper.PUNCTURE_MODE
     panel.caption(
-        f"Angular frequency {2 * np.pi * torn.strikes.frequency_hz:.0f} / {rupture.mode.angular_frequency_rad_per_s:g} / "
-        f"{paper.PUNCTURE_MODE.angular_frequency_rad_per_s:g} rad/s. Decay rate {1 / torn.strikes.decay_time_s:.0f} / "
-        f"{rupture.mode.decay_rate_per_s:g} / {paper.PUNCTURE_MODE.decay_rate_per_s:g} 1/s. Amplitude "
-        f"{torn.amplitude[-1]:.1f} / {rupture.amplitude_m_per_s2:g} / {paper.PUNCTURE_AMPLITUDE_M_PER_S2:g} m/s². The paper "
-        f"prints no figures before the rupture. n = {torn.count}.{drawn}"
+        f"n = {torn.count}{drawn}. The paper prints no force before the rupture.",
+        f"Angular frequency {angular:.0f} / {mode.angular_frequency_rad_per_s:g} / "
+        f"{printed_mode.angular_frequency_rad_per_s:g} rad/s",
+        f"Decay rate {decay:.0f} / {mode.decay_rate_per_s:g} / {printed_mode.decay_rate_per_s:g} 1/s",
+        f"Amplitude {torn.amplitude[-1]:.1f} / {rupture.amplitude_m_per_s2:g} / "
+        f"{paper.PUNCTURE_AMPLITUDE_M_PER_S2:g} m/s²",
     )
 
 
@@ -176,15 +186,15 @@ def _stroke(panel: Panel, recorded: Recorded, material: Material) -> None:
         panel.curves.axvline(1e3 * groove * grooves.spacing_m, color=canvas.GUIDE_COLOR, lw=0.8, zorder=1)
     panel.axes("position along the comb, mm", "acceleration, m/s²")
     panel.caption(
-        f"Spacing {1e3 * grooves.spacing_m:g} mm (grey lines: grooves), stroke to the right at {speed:g} m/s, pressed with "
-        f"{press:g} N. The paper prints neither frequency nor decay time of a groove: the library chose "
-        f"{mode.frequency_hz:g} Hz, {1e3 * mode.decay_time_s:g} ms.{drawn}"
+        f"Stroke to the right at {speed:g} m/s with {press:g} N{drawn}; grey lines: grooves, "
+        f"{1e3 * grooves.spacing_m:g} mm apart. The paper prints neither frequency nor decay time of a groove: "
+        f"{mode.frequency_hz:g} Hz and {1e3 * mode.decay_time_s:g} ms are choices of the library."
     )
 
 
-def _strength(grooves: Grooves, speed: Floats | float, force: Floats | float) -> Floats:
+def _strength(grooves: Grooves, speed: npt.ArrayLike, force: Floats | float) -> Floats:
     """Return the amplitude of the library's law in m/s^2."""
-    return np.asarray(grooves.velocity_gain_per_s * abs(speed) + grooves.force_gain_m_per_s2_per_n * force)
+    return np.asarray(grooves.velocity_gain_per_s * np.abs(speed) + grooves.force_gain_m_per_s2_per_n * force)
 
 
 def _strikes(panel: Panel, combing: Combing, material: Material) -> None:
@@ -216,10 +226,12 @@ def _strikes(panel: Panel, combing: Combing, material: Material) -> None:
     panel.axes("speed along the comb, m/s", "amplitude, m/s²")
     per_speed, per_force = combing.gains(combing.true_speed_m_per_s)
     panel.caption(
-        f"Gain of speed {per_speed:.1f} / {grooves.velocity_gain_per_s:g} / {paper.COMB_VELOCITY_GAIN_PER_S:g} 1/s, of force "
-        f"{per_force:.2f} / {grooves.force_gain_m_per_s2_per_n:g} / {paper.COMB_FORCE_GAIN_M_PER_S2_PER_N:g} m/s²/N. The "
-        "library is weaker on purpose: a joystick's force limit would cut the strikes of the paper's comb (spacing "
-        f"{1e3 * paper.COMB_SPACING_M:g} mm). n = {combing.count}."
+        f"Amplitude at three forces, n = {combing.count}",
+        f"Gain of speed {per_speed:.1f} / {grooves.velocity_gain_per_s:g} / {paper.COMB_VELOCITY_GAIN_PER_S:g} 1/s",
+        f"Gain of force {per_force:.2f} / {grooves.force_gain_m_per_s2_per_n:g} / "
+        f"{paper.COMB_FORCE_GAIN_M_PER_S2_PER_N:g} m/s²/N",
+        f"Weaker than the paper's comb ({1e3 * paper.COMB_SPACING_M:g} mm), so that strikes stay below the force limit "
+        "of a joystick.",
     )
 
 
@@ -238,13 +250,13 @@ def _spectrum(panel: Panel, sanding: Sanding, material: Material, rate_hz: float
     panel.curves.plot(frequency[shown], 1e3 * spectrum[shown], **MEASURED)
     panel.residual(frequency[shown], canvas.percent_of_value(spectrum[shown], asked))
     panel.curves.set_ylim(0.0, None)
-    panel.axes("frequency, Hz", "power over the law's, 1/kHz")
+    panel.axes("frequency, Hz", "relative power, 1/kHz")
     # The variance of Welch's mean over windows that overlap by half (Hann; Welch 1967).
     windows = 2 * sanding.ticks.sum() / sandpaper.SEGMENT_TICKS - 1
     scatter = float(np.sqrt(19 / 18 / windows))
-    mean_hz = frequency @ spectrum / spectrum.sum()
+    peak_hz, mean_hz = peak_of(frequency, spectrum, rate_hz), frequency @ spectrum / spectrum.sum()
     panel.caption(
-        f"Peak {peak_of(frequency, spectrum, rate_hz):.0f} / {law.peak_hz:g} Hz, mean "
-        f"{mean_hz:.0f} / {law.mean_hz:g} Hz. The paper prints no figures of sandpaper. Noise is random: a standard "
-        f"deviation of {100 * scatter:.0f} % is expected in each residual. {sanding.ticks.sum() / rate_hz:.1f} s of strokes."
+        f"Noise over the RMS of the law, {sanding.ticks.sum() / rate_hz:.1f} s of strokes; the paper prints no figures",
+        f"Peak {peak_hz:.0f} / {law.peak_hz:g} Hz, mean {mean_hz:.0f} / {law.mean_hz:g} Hz",
+        f"Noise is random: the expected standard deviation of a residual is {100 * scatter:.0f} %.",
     )

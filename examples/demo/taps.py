@@ -93,7 +93,7 @@ def measured(recorded: Recorded) -> Tapped:
 
 
 def table(tapped: Mapping[str, Tapped], library: Materials, marks: Marks) -> Table:
-    """Return the table of measured figures, library and paper with residuals, without figures if there are too few taps."""
+    """Return the table of measured figures, library, paper and residuals, without figures if taps are too few."""
     rows = Table(title="Taps, fitted to telemetry (below: library and paper, each with the residual)", show_lines=True)
     for heading in ("material", "frequency Hz", "decay ms", "slope 1/s", "slope by true speed", "taps"):
         rows.add_column(heading, justify="left" if heading == "material" else "right")
