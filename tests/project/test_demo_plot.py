@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import yaml
+from matplotlib.figure import Figure
 
 from examples.demo import canvas, comb, paper, plot, puncture, sandpaper
 from examples.demo.canvas import LIBRARY, MEASURED, PAPER, Panel
@@ -219,7 +220,7 @@ def test_residuals_of_a_case_computed_by_hand() -> None:
 
 def test_the_curve_of_the_paper_does_not_follow_the_library() -> None:
     """The library's delrin in the place of wood moves the library's line, not the paper's."""
-    _, (panel, *_) = canvas.sheet()
+    panel = Panel("a", *Figure().subplots(2))
     plot._tap(panel, "wood", seen()["wood"], library()["delrin"])
     ys = {meaning(line): np.asarray(line.get_ydata()) for line in panel.curves.lines}
     speed = seen()["wood"].measured.true_speed.max()
@@ -291,6 +292,7 @@ def test_labels_at_the_ends_of_lines_do_not_overlap_and_stay_near_their_lines() 
     np.testing.assert_allclose(placed, [-0.45, 0.55, 1.55, 5.0])
 
 
+@pytest.mark.long
 def test_a_panel_with_too_little_measured_says_how_much_and_draws_nothing() -> None:
     parts = {part.material: Seen(part) for part in all_parts(library())}
     _, drawn = canvas.sheet()
@@ -316,7 +318,7 @@ def test_no_text_overlaps_another_or_the_edge() -> None:
     figure, drawn = canvas.sheet()
     plot.draw(drawn, seen(), library(), RATE)
     canvas.finish(figure, RATE, 4_312, 81_000)
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     texts = [*figure.texts, *figure.legends]
     for panel in drawn:
         texts += [panel.curves._left_title, *panel.curves.texts, *panel.residuals.texts]  # type: ignore[attr-defined]
