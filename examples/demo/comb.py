@@ -138,13 +138,12 @@ def table(found: Combing, material: Material, marks: Marks) -> Table:
     grooves, mode, strikes = material.texture, material.groove_mode, found.strikes
     assert isinstance(grooves, Grooves) and mode is not None
     rows = Table(title=f"Strokes over {MATERIAL}: strikes found in telemetry")
-    for heading in ("", "measured", "library", "residual", "paper's comb", "residual"):
+    for heading in ("", "measured", "library", "residual"):
         rows.add_column(heading, justify="left" if heading == "" else "right")
 
-    def row(what: str, measured: float, wanted: float, digits: int, limit: float, printed: float | None = None) -> None:
+    def row(what: str, measured: float, wanted: float, digits: int, limit: float) -> None:
         difference = marks.off(f"comb: {what}", measured, wanted, limit)
-        published = () if printed is None else (f"{printed:.{digits}f}", residual(measured, printed))
-        rows.add_row(what, f"{measured:.{digits}f}", f"{wanted:.{digits}f}", difference, *published)
+        rows.add_row(what, f"{measured:.{digits}f}", f"{wanted:.{digits}f}", difference)
 
     reported, seen = found.reported, len(strikes.number)
     farthest = float(abs(found.position_m - found.groove * grooves.spacing_m).max(initial=0.0))
@@ -160,12 +159,20 @@ def table(found: Combing, material: Material, marks: Marks) -> Table:
     if found.count < MIN_STRIKES:
         return rows
     spacing = float(np.polyfit(found.groove, found.position_m, 1)[0])
-    row("spacing, mm", 1e3 * spacing, 1e3 * grooves.spacing_m, 5, 1e-3, 1e3 * paper.COMB_SPACING_M)
+    row("spacing, mm", 1e3 * spacing, 1e3 * grooves.spacing_m, 5, 1e-3)
     row("frequency, Hz", strikes.frequency_hz, mode.frequency_hz, 1, 0.01)
     row("decay time, ms", 1e3 * strikes.decay_time_s, 1e3 * mode.decay_time_s, 3, 0.01)
-    speed_gain, force_gain = paper.COMB_VELOCITY_GAIN_PER_S, paper.COMB_FORCE_GAIN_M_PER_S2_PER_N
     for which, speed, limit in (("", found.speed_m_per_s, 0.01), (" by true speed", found.true_speed_m_per_s, 0.03)):
         per_speed, per_force = found.gains(speed)
-        row(f"velocity gain{which}, 1/s", per_speed, grooves.velocity_gain_per_s, 2, limit, speed_gain)
-        row(f"force gain{which}, m/s^2/N", per_force, grooves.force_gain_m_per_s2_per_n, 3, limit, force_gain)
+        row(f"velocity gain{which}, 1/s", per_speed, grooves.velocity_gain_per_s, 2, limit)
+        row(f"force gain{which}, m/s^2/N", per_force, grooves.force_gain_m_per_s2_per_n, 3, limit)
+    per_speed, per_force = found.gains(found.speed_m_per_s)
+    of_paper = (
+        ("spacing", 1e3 * spacing, 1e3 * paper.COMB_SPACING_M, "mm"),
+        ("velocity gain", per_speed, paper.COMB_VELOCITY_GAIN_PER_S, "1/s"),
+        ("force gain", per_force, paper.COMB_FORCE_GAIN_M_PER_S2_PER_N, "m/s^2/N"),
+    )
+    rows.caption = "The paper's comb is another one: " + ", ".join(
+        f"{what} {printed:g} {unit} ({residual(measured, printed)})" for what, measured, printed, unit in of_paper
+    )
     return rows

@@ -94,8 +94,12 @@ def measured(recorded: Recorded) -> Tapped:
 
 def table(tapped: Mapping[str, Tapped], library: Materials, marks: Marks) -> Table:
     """Return the table of measured figures, library, paper and residuals, without figures if taps are too few."""
-    rows = Table(title="Taps, fitted to telemetry (below: library and paper, each with the residual)", show_lines=True)
-    for heading in ("material", "frequency Hz", "decay ms", "slope 1/s", "slope by true speed", "taps"):
+    rows = Table(
+        title="Taps, fitted to telemetry (below: library and paper, each with the residual)",
+        show_lines=True,
+        pad_edge=False,
+    )
+    for heading in ("material", "frequency Hz", "decay ms", "slope 1/s", "by true speed", "taps"):
         rows.add_column(heading, justify="left" if heading == "material" else "right")
     for name, found in tapped.items():
         tap, strikes = library[name].tap, found.strikes
@@ -106,10 +110,7 @@ def table(tapped: Mapping[str, Tapped], library: Materials, marks: Marks) -> Tab
             what: str, measured: float, wanted: float, published: float, digits: int, limit: float, name: str = name
         ) -> str:
             difference = marks.off(f"{name}: {what}", measured, wanted, limit)
-            return (
-                f"{measured:.{digits}f}\n{wanted:.{digits}f} {difference}\n"
-                f"{published:.{digits}f} {residual(measured, published)}"
-            )
+            return f"{measured:.{digits}f}\n{wanted:g} {difference}\n{published:g} {residual(measured, published)}"
 
         marks.expect(found.silent == 0, f"{name}: the hand landed {found.silent} times without a tap")
         marks.expect(strikes.left_over == 0, f"{name}: {strikes.left_over} samples ring without a tap")
@@ -130,7 +131,7 @@ def table(tapped: Mapping[str, Tapped], library: Materials, marks: Marks) -> Tab
                 0.01,
             ),
             cell("slope", found.slope(found.speed), slope, printed.slope_per_s, 1, 0.01),
-            cell("slope by true speed", found.slope(found.true_speed), slope, printed.slope_per_s, 1, 0.03),
-            f"{found.count}" + (f"\n+ {scaled} scaled" if scaled else ""),
+            cell("by true speed", found.slope(found.true_speed), slope, printed.slope_per_s, 1, 0.03),
+            f"{found.count}" + (f"\n+{scaled} scaled" if scaled else ""),
         )
     return rows

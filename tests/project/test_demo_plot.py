@@ -14,11 +14,13 @@ import numpy.typing as npt
 import pytest
 import yaml
 from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
 
-from examples.demo import canvas, comb, paper, plot, puncture, sandpaper
+from examples.demo import canvas, comb, paper, plot, puncture, sandpaper, taps
 from examples.demo.canvas import LIBRARY, MEASURED, PAPER, Panel
 from examples.demo.comb import Combing
-from examples.demo.marks import residual
+from examples.demo.marks import Marks, residual
 from examples.demo.parts import Seen, all_parts
 from examples.demo.perform import MASS_KG, Recorded
 from examples.demo.puncture import Torn
@@ -235,6 +237,23 @@ def test_captions_give_measured_library_and_paper() -> None:
     assert "Amplitude over speed 324 / 309 / 309 1/s" in texts["a"]
     assert "Amplitude 39.9 / 38 / 38 m/s²" in texts["i"]
     assert "Gain of speed 63.0 / 60 / 1200 1/s" in texts["k"] and "Gain of force 6.30 / 6 / 63.4 m/s²/N" in texts["k"]
+
+
+def text_of(table: Table) -> str:
+    console = Console(width=200)
+    with console.capture() as printed:
+        console.print(table)
+    return printed.get()
+
+
+def test_the_tables_give_the_paper_and_the_residual() -> None:
+    marks, materials = Marks(), library()
+    taps_text = text_of(taps.table({"wood": seen()["wood"].measured}, materials, marks))
+    assert taps_text.count("309 +5.00%") == 4  # library and paper, by estimated and by true speed
+    comb_text = text_of(comb.table(seen()[comb.MATERIAL].measured, materials[comb.MATERIAL], marks))
+    assert "velocity gain 1200 1/s (-94.75%), force gain 63.4 m/s^2/N (-90.06%)" in comb_text
+    torn_text = text_of(puncture.table(seen()[puncture.MATERIAL].measured, materials[puncture.MATERIAL], marks))
+    assert "39.90 m/s^2 (library 38: +5.00%; paper 38: +5.00%)" in torn_text
 
 
 def test_the_figures_of_the_paper_are_those_that_it_prints() -> None:
