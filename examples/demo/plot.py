@@ -130,7 +130,8 @@ def _slopes(panel: Panel, fits: Mapping[str, Tapped], library: Materials) -> Non
     count = sum(found.count for found in fits.values())
     panel.caption(
         f"Amplitude of taps below the force limit, n = {count}",
-        "The slopes of library and paper are in (a) to (g). The slopes of the paper are those of its Table 1.",
+        "The slopes are in (a) to (g). Those of the paper are from its Table 1, taken as the coefficient A of its "
+        "equation 1.",
     )
 
 
@@ -180,6 +181,9 @@ def _stroke(panel: Panel, recorded: Recorded, material: Material) -> None:
         if begin_s < onset_s < end_s:
             force = np.interp(onset_s, recorded.time_s, recorded.samples["contact_force_n"][:, 1])
             library += _strength(grooves, event["true_speed_m_per_s"], force) * _ringing(time_s - onset_s, mode)
+    if not library.any():
+        panel.empty("Not enough measured: periods were missed over the grooves that are drawn.")
+        return
     panel.curves.plot(1e3 * x[window], library, **LIBRARY)
     drawn = panel.waveform(1e3 * x[window], recorded.vibration(0)[window], library)
     for groove in range(int(np.ceil(DRAWN_SPACINGS[0])), int(DRAWN_SPACINGS[1]) + 1):

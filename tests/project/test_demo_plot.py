@@ -311,6 +311,15 @@ def test_labels_at_the_ends_of_lines_do_not_overlap_and_stay_near_their_lines() 
     np.testing.assert_allclose(placed, [-0.45, 0.55, 1.55, 5.0])
 
 
+@pytest.mark.parametrize("kept", [slice(0), slice(10)])
+def test_a_stroke_with_periods_missed_over_the_grooves_says_so(kept: slice) -> None:
+    recorded = seen()[comb.MATERIAL].best[0]
+    missed = Recorded(recorded.time_s[kept], recorded.samples[kept], (), 0, RATE)
+    panel = Panel("j", *Figure().subplots(2))
+    plot._stroke(panel, missed, library()[comb.MATERIAL])
+    assert "periods were missed" in caption(panel) and not panel.curves.lines
+
+
 @pytest.mark.long
 def test_a_panel_with_too_little_measured_says_how_much_and_draws_nothing() -> None:
     parts = {part.material: Seen(part) for part in all_parts(library())}
