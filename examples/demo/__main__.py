@@ -50,9 +50,10 @@ def main() -> int:
 
     marks = Marks()
     _compare(console, seen, library, rate_hz, marks)
-    console.print(f"plot: {PLOT}", soft_wrap=True)
-    skipped, ticks = counters["skipped"], counters["ticks"]
-    missed = f"the machine missed {skipped:,} of {skipped + ticks:,} periods"
+    skipped, periods = counters["skipped"], counters["skipped"] + counters["ticks"]
+    save(seen, library, rate_hz, skipped, periods)
+    console.print(f"plot: {PLOT} and {PLOT.with_suffix('.svg').name}", soft_wrap=True)
+    missed = f"the machine missed {skipped:,} of {periods:,} periods"
     too_little = [each for each in seen.values() if not each.enough]
     for each in too_little:
         marks.expect(each.disturbed, f"{each}, and no period was missed")
@@ -67,7 +68,7 @@ def main() -> int:
 
 
 def _compare(console: Console, seen: Mapping[str, Seen], library: Materials, rate_hz: float, marks: Marks) -> None:
-    """Print the measured figures next to those of the library, and save the plot."""
+    """Print the measured figures next to those of the library and of the paper."""
     measured = {name: each.measured for name, each in seen.items() if each.measured is not None}
     if tapped := {name: each for name, each in measured.items() if isinstance(each, taps.Tapped)}:
         console.print(taps.table(tapped, library, marks))
@@ -77,7 +78,6 @@ def _compare(console: Console, seen: Mapping[str, Seen], library: Materials, rat
         console.print(sandpaper.table(measured[sandpaper.MATERIAL], library[sandpaper.MATERIAL], rate_hz, marks))
     if puncture.MATERIAL in measured:
         console.print(puncture.table(measured[puncture.MATERIAL], library[puncture.MATERIAL], marks))
-    save(seen, library, rate_hz)
 
 
 if __name__ == "__main__":

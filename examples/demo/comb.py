@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 
-from examples.demo.marks import Marks
+from examples.demo import paper
+from examples.demo.marks import Marks, residual
 from examples.demo.perform import Floats, Recorded, stroking
 from examples.demo.strikes import SAME_TIME_S, Strikes, strikes_of
 from hapticd.base.core import Flag
@@ -133,11 +134,11 @@ def measured(recorded: Recorded, material: Material) -> Combing:
 
 
 def table(found: Combing, material: Material, marks: Marks) -> Table:
-    """Return the table of measured figures, library and difference, without figures if there are too few strikes."""
+    """Return the table of measured figures, library, paper and residuals, without figures if strikes are too few."""
     grooves, mode, strikes = material.texture, material.groove_mode, found.strikes
     assert isinstance(grooves, Grooves) and mode is not None
     rows = Table(title=f"Strokes over {MATERIAL}: strikes found in telemetry")
-    for heading in ("", "measured", "library", "difference"):
+    for heading in ("", "measured", "library", "residual"):
         rows.add_column(heading, justify="left" if heading == "" else "right")
 
     def row(what: str, measured: float, wanted: float, digits: int, limit: float) -> None:
@@ -165,4 +166,13 @@ def table(found: Combing, material: Material, marks: Marks) -> Table:
         per_speed, per_force = found.gains(speed)
         row(f"velocity gain{which}, 1/s", per_speed, grooves.velocity_gain_per_s, 2, limit)
         row(f"force gain{which}, m/s^2/N", per_force, grooves.force_gain_m_per_s2_per_n, 3, limit)
+    per_speed, per_force = found.gains(found.speed_m_per_s)
+    of_paper = (
+        ("spacing", 1e3 * spacing, 1e3 * paper.COMB_SPACING_M, "mm"),
+        ("velocity gain", per_speed, paper.COMB_VELOCITY_GAIN_PER_S, "1/s"),
+        ("force gain", per_force, paper.COMB_FORCE_GAIN_M_PER_S2_PER_N, "m/s^2/N"),
+    )
+    rows.caption = "The paper's comb is another one: " + ", ".join(
+        f"{what} {printed:g} {unit} ({residual(measured, printed)})" for what, measured, printed, unit in of_paper
+    )
     return rows

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from rich.table import Table
 
-from examples.demo.marks import Marks
+from examples.demo import paper
+from examples.demo.marks import Marks, residual
 from examples.demo.perform import HOVER_M, Floats, Recorded
 from examples.demo.strikes import Strikes, strikes_of
 from hapticd.config.materials import Material
@@ -93,11 +94,28 @@ def table(torn: Torn, material: Material, marks: Marks) -> Table:
     rows.add_row(
         "beyond the rupture deflection", f"{1e6 * past:.0f} um, of {1e6 * travelled:.0f} um travelled in that tick"
     )
-    for what, measured, wanted, unit in (
-        ("amplitude", float(torn.amplitude[-1]), rupture.amplitude_m_per_s2, "m/s^2"),
-        ("angular frequency", 2 * np.pi * strikes.frequency_hz, rupture.mode.angular_frequency_rad_per_s, "rad/s"),
-        ("decay rate", 1 / strikes.decay_time_s, rupture.mode.decay_rate_per_s, "1/s"),
+    mode, printed = rupture.mode, paper.PUNCTURE_MODE
+    for what, measured, wanted, published, unit in (
+        (
+            "amplitude",
+            float(torn.amplitude[-1]),
+            rupture.amplitude_m_per_s2,
+            paper.PUNCTURE_AMPLITUDE_M_PER_S2,
+            "m/s^2",
+        ),
+        (
+            "angular frequency",
+            2 * np.pi * strikes.frequency_hz,
+            mode.angular_frequency_rad_per_s,
+            printed.angular_frequency_rad_per_s,
+            "rad/s",
+        ),
+        ("decay rate", 1 / strikes.decay_time_s, mode.decay_rate_per_s, printed.decay_rate_per_s, "1/s"),
     ):
         difference = marks.off(f"puncture: {what}", measured, wanted, 0.01)
-        rows.add_row(what, f"{measured:.2f} {unit} (library {wanted:g}: {difference})")
+        rows.add_row(
+            what,
+            f"{measured:.2f} {unit} (library {wanted:g}: {difference}; paper {published:g}: "
+            f"{residual(measured, published)})",
+        )
     return rows

@@ -135,8 +135,10 @@ def table(found: Sanding, material: Material, rate_hz: float, marks: Marks) -> T
     asked = power_spectrum(stochastic_filter(law.peak_hz, law.mean_hz, rate_hz), fine, rate_hz)
     bandwidth_hz = float(asked.sum() ** 2 / (asked**2).sum())
     spread = float(np.sqrt((((fine - law.mean_hz) * asked) ** 2).sum()) / asked.sum()) / law.mean_hz
-    rows = Table(title=f"Strokes over {MATERIAL}: noise in telemetry (limit: four standard deviations)")
-    for heading in ("", "measured", "law, library", "difference", "limit"):
+    rows = Table(
+        title=f"Strokes over {MATERIAL}: noise in telemetry (limit: 4 standard deviations; the paper prints no figures)"
+    )
+    for heading in ("", "measured", "law, library", "residual", "limit"):
         rows.add_column(heading, justify="left" if heading == "" else "right")
 
     def row(what: str, measured: float, wanted: float, deviation: float, digits: int) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 
-from examples.demo.marks import Marks
+from examples.demo import paper
+from examples.demo.marks import Marks, residual
 from examples.demo.perform import HOVER_M, Floats, Recorded, Waypoints
 from examples.demo.strikes import SAME_TIME_S, Strikes, strikes_of
 from hapticd.config.materials import Materials
@@ -92,18 +93,24 @@ def measured(recorded: Recorded) -> Tapped:
 
 
 def table(tapped: Mapping[str, Tapped], library: Materials, marks: Marks) -> Table:
-    """Return the table of measured figures, library and difference, without figures if there are too few taps."""
-    rows = Table(title="Taps, fitted to telemetry (below: library, difference)", show_lines=True)
-    for heading in ("material", "frequency Hz", "decay ms", "slope 1/s", "slope by true speed", "taps"):
+    """Return the table of measured figures, library, paper and residuals, without figures if taps are too few."""
+    rows = Table(
+        title="Taps, fitted to telemetry (below: library and paper, each with the residual)",
+        show_lines=True,
+        pad_edge=False,
+    )
+    for heading in ("material", "frequency Hz", "decay ms", "slope 1/s", "by true speed", "taps"):
         rows.add_column(heading, justify="left" if heading == "material" else "right")
     for name, found in tapped.items():
         tap, strikes = library[name].tap, found.strikes
         assert tap is not None
-        mode, slope = tap.mode, tap.amplitude_m_per_s2(1.0)
+        mode, slope, printed = tap.mode, tap.amplitude_m_per_s2(1.0), paper.TAPS[name]
 
-        def cell(what: str, measured: float, wanted: float, digits: int, limit: float, name: str = name) -> str:
+        def cell(
+            what: str, measured: float, wanted: float, published: float, digits: int, limit: float, name: str = name
+        ) -> str:
             difference = marks.off(f"{name}: {what}", measured, wanted, limit)
-            return f"{measured:.{digits}f}\n{wanted:.{digits}f} {difference}"
+            return f"{measured:.{digits}f}\n{wanted:g} {difference}\n{published:g} {residual(measured, published)}"
 
         marks.expect(found.silent == 0, f"{name}: the hand landed {found.silent} times without a tap")
         marks.expect(strikes.left_over == 0, f"{name}: {strikes.left_over} samples ring without a tap")
@@ -114,10 +121,17 @@ def table(tapped: Mapping[str, Tapped], library: Materials, marks: Marks) -> Tab
         scaled = len(found.unscaled) - found.count
         rows.add_row(
             name,
-            cell("frequency", strikes.frequency_hz, mode.frequency_hz, 1, 0.01),
-            cell("decay time", 1e3 * strikes.decay_time_s, 1e3 * mode.decay_time_s, 3, 0.01),
-            cell("slope", found.slope(found.speed), slope, 1, 0.01),
-            cell("slope by true speed", found.slope(found.true_speed), slope, 1, 0.03),
-            f"{found.count}" + (f"\n+ {scaled} scaled" if scaled else ""),
+            cell("frequency", strikes.frequency_hz, mode.frequency_hz, printed.frequency_hz, 1, 0.01),
+            cell(
+                "decay time",
+                1e3 * strikes.decay_time_s,
+                1e3 * mode.decay_time_s,
+                1e3 * printed.decay_time_s,
+                3,
+                0.01,
+            ),
+            cell("slope", found.slope(found.speed), slope, printed.slope_per_s, 1, 0.01),
+            cell("by true speed", found.slope(found.true_speed), slope, printed.slope_per_s, 1, 0.03),
+            f"{found.count}" + (f"\n+{scaled} scaled" if scaled else ""),
         )
     return rows

@@ -287,7 +287,8 @@ def run_demo(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
         monkeypatch.setattr(parts, "MAX_REPETITIONS", 2)
         monkeypatch.setattr(plot, "PLOT", tmp_path / "demo.png")
         code = demo.main()
-        assert (tmp_path / "demo.png").stat().st_size > 0
+        for name in ("demo.png", "demo.svg"):
+            assert (tmp_path / name).stat().st_size > 0
         return code, capsys.readouterr().out
 
     return run
@@ -391,4 +392,4 @@ def test_measurements_of_several_performances_are_put_together() -> None:
 def test_the_plot_is_where_git_ignores_it() -> None:
     root = Path(__file__).parents[2]
     assert root / "demo.png" == plot.PLOT
-    assert "/demo.png" in (root / ".gitignore").read_text().splitlines()
+    assert {"/demo.png", "/demo.svg"} <= set((root / ".gitignore").read_text().splitlines())
