@@ -213,7 +213,7 @@ int main(int argc, char **argv)
     if (directory == NULL) {
         const char *runtime = getenv("XDG_RUNTIME_DIR");
         if (runtime == NULL)
-            fail("arguments", "name the runtime directory, which `hapticd paths` prints");
+            fail("arguments", "name the runtime directory, which `hapticd doctor --paths` prints");
         snprintf(of_user, sizeof of_user, "%s/hapticd", runtime);
         directory = of_user;
     }

@@ -134,7 +134,7 @@ std::string runtime_directory(int argc, char **argv)
         return named;
     if (const char *runtime = std::getenv("XDG_RUNTIME_DIR"))
         return std::string(runtime) + "/hapticd";
-    throw Error("arguments: name the runtime directory, which `hapticd paths` prints");
+    throw Error("arguments: name the runtime directory, which `hapticd doctor --paths` prints");
 }
 
 } // namespace

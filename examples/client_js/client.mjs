@@ -12,7 +12,7 @@ const TIMEOUT_MS = 5000;
 function runtimeDirectory() {
     const { HAPTICD_RUNTIME_DIR, XDG_RUNTIME_DIR } = process.env;
     const found = process.argv[2] ?? HAPTICD_RUNTIME_DIR ?? (XDG_RUNTIME_DIR && `${XDG_RUNTIME_DIR}/hapticd`);
-    if (!found) throw new Error("arguments: name the runtime directory, which `hapticd paths` prints");
+    if (!found) throw new Error("arguments: name the runtime directory, which `hapticd doctor --paths` prints");
     return found;
 }
 

@@ -46,10 +46,10 @@ from hapticd.base.errors import HapticdError
 from hapticd.cli.failure import report_error
 from hapticd.cli.streams import ReaderGone, guarded
 
-_SECTIONS: Final = {
+_COMMANDS_BY_SECTION: Final = {
     "Daemon": {"daemon": "run status reload force reset"},
     "Scene": {"daemon": "apply scene material play operator mark"},
-    "Look and keep": {"recordings": "watch record export lsl", "web": "web"},
+    "Observe and record": {"recordings": "watch record export lsl", "web": "web"},
     "Offline": {"recordings": "simulate replay", "displayed": "check", "fit": "fit"},
     "Studies": {"experiment": "experiment", "sweep": "sweep"},
     "Device": {"devices": "devices", "displayed": "calibrate verify"},
@@ -58,7 +58,10 @@ _SECTIONS: Final = {
 }
 """Commands by module and section, as `hapticd --help` lists them. Those without a section are hidden."""
 _MODULE_BY_COMMAND: Final = {
-    name: module for modules in _SECTIONS.values() for module, names in modules.items() for name in names.split()
+    name: module
+    for modules in _COMMANDS_BY_SECTION.values()
+    for module, names in modules.items()
+    for name in names.split()
 }
 
 
@@ -78,7 +81,7 @@ class _LazyGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         width = formatter.width - 6 - max(map(len, _MODULE_BY_COMMAND))
-        for section, modules in _SECTIONS.items():
+        for section, modules in _COMMANDS_BY_SECTION.items():
             listed = [(name, self.get_command(ctx, name)) for name in " ".join(modules.values()).split()]
             rows = [(name, found.get_short_help_str(width)) for name, found in listed if found and not found.hidden]
             if rows:

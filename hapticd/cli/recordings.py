@@ -135,12 +135,12 @@ def _recover(file: str, as_json: bool) -> int:
 
 
 def _write_past(file: str, overwrite: bool, as_json: bool) -> int:
-    from hapticd.client.flight_summary import summed_up, written_flight
+    from hapticd.client.flight_summary import copy_flight, written_flight
     from hapticd.recording.recording import check_saved
 
     check_saved(file, overwrite)
     with daemon() as client:
-        found, line = summed_up(written_flight(client), file, overwrite)
+        found, line = copy_flight(written_flight(client), file, overwrite)
     print_result(found, as_json, line)
     return 0
 

@@ -30,15 +30,16 @@ def written_flight(client: Client) -> str:
     return file
 
 
-def summed_up(written: str, copy: str | None, overwrite: bool) -> tuple[dict[str, object], str]:
-    """Return a summary of a flight file, as JSON and as a line of text; with `copy` also copy the file to that path.
+def copy_flight(written: str, file: str, overwrite: bool) -> tuple[dict[str, object], str]:
+    """Copy a flight file to `file`, and return a summary of the recording, as JSON and as a line of text.
 
-    Raises HapticdError if a file cannot be read or written.
+    Raises HapticdError if a file cannot be read or written, or if the flight file is on another machine.
     """
+    if not os.path.exists(written):
+        raise HapticdError(f"{written} is on the daemon's machine: copy it from there")
     recording = load(written)
-    if copy is not None:
-        recording.save(copy, overwrite)
-    file, ticks, missed = copy or written, len(recording.samples), recording.missed_periods
+    recording.save(file, overwrite)
+    ticks, missed = len(recording.samples), recording.missed_periods
     summary: dict[str, object] = {
         "file": file,
         "ticks": ticks,

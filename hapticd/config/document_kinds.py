@@ -91,7 +91,7 @@ def refuse_other_kinds(document: Document, *accepted: Kind) -> None:
     """Raise InvalidError if a document is of a known kind other than those in `accepted`.
 
     A document of unknown kind is accepted; its reader checks the keys. Raises InvalidError also if keys of a scene are
-    beside `materials`, `scene` or keys of a configuration.
+    next to `materials`, `scene` or keys of a configuration.
     """
     keys = document.data.keys() if isinstance(document.data, dict) else set()
     if not keys.isdisjoint(("materials", "scene", *CONFIGURATION_KEYS)):

@@ -1,6 +1,7 @@
 """Thresholds of the fits, each with value, unit and reason; one dataclass for each kind of fit.
 
-`make docs-tables` copies them to docs/reference/fit_limits.md. The thresholds that decide between good, fair and poor are in verdict.py.
+`make docs-tables` copies them to docs/reference/fit_limits.md. The thresholds that decide between good, fair and poor
+are in verdict.py.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ Change: TypeAlias = Revised | Played | Reset
 
 
 def change_map(change: Change) -> dict[str, object]:
-    """Return a change as the map that the topic `change` publishes (docs/protocol.md)."""
+    """Return a change as the map that the topic `change` publishes (docs/reference/telemetry.md)."""
     match change:
         case Played(tick, mode, attack, direction, amplitude):
             return {

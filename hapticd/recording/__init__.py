@@ -21,7 +21,7 @@ Rendering:
 Questions, and where to begin:
 
     What does a file hold?
-        docs/protocol.md (Files); then writer and event_columns.
+        docs/reference/recordings.md; then writer and event_columns.
     Which modules record a running daemon?
         client/record and daemon/flight_recorder. Both use RecordingWriter.
     Why does a replay differ from its recording?

@@ -9,7 +9,7 @@ On a full disk the newest samples are dropped, so that the recording can be fini
 process is killed, if the archive cannot be renamed, or if writing fails for another reason; recovery.py makes a
 recording of them. Any other failed recording leaves no file.
 
-The section Files of docs/protocol.md describes the content of a recording.
+docs/reference/recordings.md describes the content of a recording.
 """
 
 from __future__ import annotations

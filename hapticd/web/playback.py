@@ -115,7 +115,7 @@ class Playback:
         return events
 
     def rows(self, first: int, count: int) -> dict[str, object]:
-        """Return `count` samples from row `first` on, as in the topic `samples` (docs/protocol.md)."""
+        """Return `count` samples from row `first` on, as in the topic `samples` (docs/reference/telemetry.md)."""
         first = _inside("first", first, 0, len(self._samples) - 1)
         count = _inside("count", count, 1, MAX_ROWS_PER_ANSWER)
         part = self._samples[first : first + count]

@@ -53,7 +53,7 @@ COMMANDS = [
     "install-service",
 ]
 HIDDEN = ["bench", "completion", "paths", "schema", "stop-device"]
-SECTIONS = ["Daemon:", "Scene:", "Look and keep:", "Offline:", "Studies:", "Device:", "Machine:"]
+SECTIONS = ["Daemon:", "Scene:", "Observe and record:", "Offline:", "Studies:", "Device:", "Machine:"]
 
 
 @pytest.fixture(autouse=True)

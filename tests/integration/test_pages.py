@@ -23,7 +23,7 @@ LESSONS = [ROOT / "docs" / "tutorial" / f"{name}.md"
 PAGES = [page for page in sorted((ROOT / "docs").rglob("*.md")) if page not in LESSONS]
 BLOCKS = [block for page in (*LESSONS, *PAGES) for block in blocks(page)]
 PREPARED = {
-    "docs/protocol.md": "hapticd record tap.npz --for 1s",
+    "docs/reference/recordings.md": "hapticd record tap.npz --for 1s",
 }
 """What a page says in a sentence that it had somebody do before its blocks."""
 MARKED = 39

@@ -5,11 +5,9 @@ from __future__ import annotations
 import ast
 import re
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeGuard, get_args
 
-import click
 import msgpack
 import numpy as np
 import pytest
@@ -18,7 +16,6 @@ from pydantic import BaseModel
 from docs import tables as docs_tables
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
 from hapticd.base.yaml_source import load_text
-from hapticd.cli import cli
 from hapticd.config.configuration import default_config, load_config
 from hapticd.config.hid import Hid, Quirk
 from hapticd.config.materials import ModeKeys
@@ -43,6 +40,9 @@ ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 README = (ROOT / "README.md").read_text()
 PROTOCOL = (ROOT / "docs" / "protocol.md").read_text()
+TELEMETRY = (ROOT / "docs" / "reference" / "telemetry.md").read_text()
+RECORDINGS = (ROOT / "docs" / "reference" / "recordings.md").read_text()
+LANGUAGES = (ROOT / "docs" / "howto" / "other_languages.md").read_text()
 DEVICES = (ROOT / "docs" / "devices.md").read_text()
 SERVICE = (ROOT / "docs" / "service.md").read_text()
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
@@ -155,12 +155,12 @@ def test_status() -> None:
 
 
 def test_samples() -> None:
-    described = tables(section(PROTOCOL, "### samples"))
+    described = tables(section(TELEMETRY, "## samples"))
     formats = {"f8[2]": ("<f8", (2,)), **{form: (f"<{form}", ()) for form in ("u8", "i8", "u4", "i4")}}
     documented = [(*names(row[0]), *formats[row[1]]) for row in described["field"]]
     fields = [(name, SAMPLE_DTYPE[name]) for name in SAMPLE_DTYPE.names or ()]
     assert documented == [(name, dtype.base.str, dtype.shape) for name, dtype in fields]
-    assert f"{SAMPLE_DTYPE.itemsize} bytes each" in PROTOCOL
+    assert f"{SAMPLE_DTYPE.itemsize} bytes each" in TELEMETRY
     assert np.lib.format.descr_to_dtype(np.lib.format.dtype_to_descr(SAMPLE_DTYPE)) == SAMPLE_DTYPE
 
 
@@ -169,7 +169,7 @@ def test_the_records_are_packed_and_the_lines_of_numpy_read_them() -> None:
     assert SAMPLE_DTYPE.itemsize == sum(dtype.itemsize for dtype in dtypes)
     samples = np.frombuffer(np.random.default_rng(1).bytes(3 * SAMPLE_DTYPE.itemsize), SAMPLE_DTYPE)
     described = msgpack.packb({"dtype": np.lib.format.dtype_to_descr(SAMPLE_DTYPE), "data": samples.tobytes()})
-    (code,) = blocks(section(PROTOCOL, "### samples"), "python")
+    (code,) = blocks(section(TELEMETRY, "## samples"), "python")
     found: dict[str, Any] = {"np": np, "message": msgpack.unpackb(described)}
     exec(code, found)
     assert found["dtype"] == SAMPLE_DTYPE
@@ -177,17 +177,17 @@ def test_the_records_are_packed_and_the_lines_of_numpy_read_them() -> None:
 
 
 def test_flags() -> None:
-    rows = tables(section(PROTOCOL, "### samples"))["flag"]
+    rows = tables(section(TELEMETRY, "## samples"))["flag"]
     assert [(*names(row[0]), int(row[1])) for row in rows] == [(flag.name, flag.value) for flag in Flag]
 
 
 def test_state() -> None:
-    rows = tables(section(PROTOCOL, "### state"))["member"]
+    rows = tables(section(TELEMETRY, "## state"))["member"]
     assert set(first_names(rows)) == set(State.__annotations__) - set(SAMPLE_DTYPE.names or ())
 
 
 def test_events() -> None:
-    described = tables(section(PROTOCOL, "### event"))
+    described = tables(section(TELEMETRY, "## event"))
     documented = {names(row[0])[0]: set(names(row[1])) for row in described["event"]}
     event = records(EVENT_DTYPE, 1)[0]
     expected = {}
@@ -203,33 +203,15 @@ def test_faults() -> None:
     assert first_names(rows) == fault_names(Fault(sum(Fault)))
 
 
-def commands(group: click.Group, prefix: str = "") -> Iterator[str]:
-    context = click.Context(group)
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        if isinstance(command, click.Group):
-            yield from commands(command, f"{prefix}{name} ")
-        else:
-            yield prefix + name
-
-
-def test_commands() -> None:
-    rows = tables(section(PROTOCOL, "## The command line"))["command"]
-    documented = [re.split(r" [\[A-Z]", name)[0] for name in first_names(rows)]
-    assert [re.sub("^force o(n|ff)$", "force", name) for name in documented if name != "force off"] == list(
-        commands(cli)
-    )
-
-
 def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The table has the keys, shapes and columns of a file, and the page's lines open the file."""
-    described = section(PROTOCOL, "## Files")
+    described = RECORDINGS
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.yaml").write_text(
         "objects:\n  w: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}\n"
     )
     (tmp_path / "hand.yaml").write_text("waypoints: [[0, 0, 0.01], [0.05, 0, -0.002]]\n")
-    simulate_files("scene.yaml", "hand.yaml", "tap.npz", None, None)
+    simulate_files(["scene.yaml"], "hand.yaml", "tap.npz", None, None)
     event = records(EVENT_DTYPE, 1)[0]
     with RecordingWriter("events.npz") as writer:
         for kind in EventKind:
@@ -277,7 +259,7 @@ def members(kind: EventKind) -> set[str]:
 
 
 def test_the_bytes_of_the_example() -> None:
-    example = section(PROTOCOL, "## A client in another language")
+    example = section(LANGUAGES, "## The steps")
     listings = re.findall(r"((?:^ {4}[0-9a-f]{2} .*\n)+)", example, flags=re.MULTILINE)
     question, answer = (
         bytes.fromhex("".join(re.match(r" {4}((?:[0-9a-f]{2} {1,2})+)", line)[1] for line in listing.splitlines()))  # type: ignore[index]

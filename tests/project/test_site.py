@@ -1,4 +1,4 @@
-"""The documentation as a site: built without warnings, complete, with every page linked, and without network requests."""
+"""The documentation as a site: built without warnings, complete, every page linked, and no network requests."""
 
 from __future__ import annotations
 

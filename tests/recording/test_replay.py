@@ -377,7 +377,7 @@ def test_a_difference_is_measured_and_reported(tmp_path: Path, capsys: pytest.Ca
 
 def test_the_command_and_the_function(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, operator = str(CONFIG / "scenes" / "membrane.yaml"), str(CONFIG / "operators" / "push.yaml")
-    simulate_files(scene, operator, str(tmp_path / "run.npz"), 1.0, None)
+    simulate_files([scene], operator, str(tmp_path / "run.npz"), 1.0, None)
     target = tmp_path / "again.npz"
     assert main(["replay", str(tmp_path / "run.npz"), "-o", str(target), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

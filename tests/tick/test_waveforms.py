@@ -278,7 +278,7 @@ def test_what_is_simulated_is_rendered_and_replayed_to_the_same_bits(tmp_path: P
     ways = [[0.0, 0.01, 0.01], *([0.05 * i, 0.01 * (-1) ** (i // 2), 0.01 * (-1) ** i] for i in range(1, 9))]
     (tmp_path / "config.yaml").write_text(json.dumps(config))
     (tmp_path / "ways.yaml").write_text(json.dumps({"waypoints": ways}))
-    simulate_files(str(tmp_path / "config.yaml"), str(tmp_path / "ways.yaml"), str(tmp_path / "run.npz"), 0.4, None)
+    simulate_files([str(tmp_path / "config.yaml")], str(tmp_path / "ways.yaml"), str(tmp_path / "run.npz"), 0.4, None)
     again = replay(tmp_path / "run.npz")
     assert again.identical == again.ticks == 4000
     run = simulate_run(config, ways, 0.4)

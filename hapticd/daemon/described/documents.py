@@ -210,7 +210,9 @@ def _server(name: str) -> Json:
         "protocolVersion": "ZMTP 3.1",
         "description": f"Connect to `ipc://{{runtime_directory}}/hapticd.{name}`.",
         "variables": {
-            "runtime_directory": {"description": "`hapticd paths` prints it, for example /run/user/1000/hapticd."}
+            "runtime_directory": {
+                "description": "`hapticd doctor --paths` prints it, for example /run/user/1000/hapticd."
+            }
         },
     }
 

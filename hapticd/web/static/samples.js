@@ -1,6 +1,6 @@
 // All samples of the last minute: a ring of columns. Rows are counted from 0 since the page was opened; the index of a row
 // in a column is `row % capacity`; rows from `first` to `rows - 1` are stored. Batches are those of the topic `samples`
-// (docs/protocol.md), and are read by their `dtype` (sample_layout.js), so that fields may be added, moved or left out.
+// (docs/reference/telemetry.md), and are read by their `dtype` (sample_layout.js), so that fields may be added, moved or left out.
 //
 // Rows are in the order of time, with gaps: `ticks` shows where samples were lost or left out on purpose. After a restart
 // of the daemon all rows are removed, because their ticks and times belong to another clock.
