@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import islice
 from time import monotonic_ns
 from typing import Any, Final, NamedTuple, TypeAlias, cast
 
@@ -48,6 +49,7 @@ from hapticd.daemon.params import (
     PlayParams,
     ReloadParams,
     ResetParams,
+    SceneChangeParams,
     SetForcesParams,
     SetMaterialsParams,
     SetSceneParams,
@@ -68,6 +70,7 @@ from hapticd.protocol.messages import Code, decode_trusted
 from hapticd.protocol.validation import further_faults, patched_materials, patched_objects, replaced_materials
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
+from hapticd.rendering.placement import Point, held_anew, placement_warnings
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 _MAX_PARAM_MEMBERS: Final = 16
@@ -107,6 +110,8 @@ FIRST_STATE_TIMEOUT_S: Final = 1.0
 """Time that `get_state` waits for the first tick; other requests wait too."""
 _FIRST_STATE_POLL_S: Final = 0.001
 """Interval in which `get_state` polls for the first tick."""
+_MOVE_OR_FORCE: Final = "; nothing was changed: move the object or the handle, or repeat the change with force"
+"""End of the message that refuses a change which would hold the handle deep inside an object."""
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 
 
@@ -274,9 +279,32 @@ class Methods:
             if problems:
                 raise InvalidError(problems)
             reports = yield from engine.prepared(new.objects.values(), new.materials, new.sent)
+        placed = self._placed(new, isinstance(params, SceneChangeParams) and params.force)
         revision = engine.take(new.scene, new.materials, new.changed, params.expect_revision)
-        warnings = change_warnings(new.objects, new.sent, reports, new.root, engine.played())
-        return _Changed(revision, params.wait, warnings, engine.margins(touched=True))
+        warnings = placed + change_warnings(new.objects, new.sent, reports, new.root, engine.played())
+        return _Changed(revision, params.wait, warnings[:MAX_FAULTS], engine.margins(touched=True))
+
+    def _placed(self, new: _Proposed, force: bool) -> list[Problem]:
+        """Return the warnings of where the objects of a change lie.
+
+        Raises MethodError if one of them would come over the handle and hold it deep inside, while forces are on;
+        `force`: it may do so.
+        """
+        if not new.objects:
+            return []
+        engine, newest = self._engine, None if self._read_state is None else self._read_state()
+        handle_m = engine.reach.rest_m if newest is None else cast(Point, newest["position_m"])
+        counters, before = engine.counters(), engine.scene
+        if new.scene.display.force and counters.forces_on and not counters.latched and not force:
+            known = before.objects if before.display.force else {}
+            held = held_anew(new.objects, known, new.materials, engine.reach, handle_m, new.root)
+            problems = list(islice(held, MAX_FAULTS))
+            if problems:
+                raise MethodError.faulty(problems, Code.HANDLE_INSIDE, _MOVE_OR_FORCE)
+        placed = placement_warnings(
+            new.scene, new.materials, engine.reach, objects=new.objects, root=new.root, handle_m=handle_m
+        )
+        return list(islice(placed, MAX_FAULTS))
 
     def _problems_of(self, new: _Proposed) -> list[Problem]:
         """Return the problems of materials that do not exist or are impossible at this rate."""
@@ -375,6 +403,9 @@ class Methods:
                 proposed = proposed._replace(scene=engine.scene, materials=engine.materials)
             changed = yield from self._take(params, proposed)
         except StaleRevisionError:
+            raise
+        except MethodError as error:
+            self._log_reload(logging.ERROR, f"not reloaded: {error}")
             raise
         except HapticdError as error:
             self._log_reload(logging.ERROR, f"not reloaded: {error}")

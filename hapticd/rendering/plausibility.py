@@ -1,0 +1,143 @@
+"""Warnings of figures that no known material has, with the unit that they may have been written in.
+
+The limits lie far outside the shipped materials and the published ones (docs/adr/0067), so that a value beyond them is
+most likely in another unit. A value of 0 turns its part off, and is not reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from hapticd.base.errors import Path, Problem, path_text
+from hapticd.config.materials import Material, Tap
+from hapticd.config.modes import Mode
+from hapticd.config.scene import SceneObject
+from hapticd.config.texture import Autoregressive, Grooves, Stochastic
+
+MIN_STIFFNESS_N_PER_M: Final = 1.0
+MAX_STIFFNESS_N_PER_M: Final = 1e5
+MIN_FREQUENCY_HZ: Final = 15.0
+MIN_AMPLITUDE_M_PER_S2: Final = 0.1
+MAX_AMPLITUDE_M_PER_S2: Final = 3000.0
+MAX_TAP_SPEED_M_PER_S: Final = 10.0
+MIN_SLOPE_TO_ANGULAR_FREQUENCY: Final = 0.003
+MAX_SLOPE_TO_ANGULAR_FREQUENCY: Final = 10.0
+
+
+class ImplausibleValue(UserWarning):
+    """A value is far outside of what is known: it may be in another unit, such as mm instead of m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The plausible values of one quantity."""
+
+    name: str
+    low: float
+    high: float
+    unit: str
+    other_unit: str
+    """The unit that is mistaken for `unit` most often."""
+    factor: float
+    """Size of `other_unit` in `unit`."""
+
+    def problem(self, value: float) -> str | None:
+        """Return the warning of a value outside the range, with the value that it would be if it is in `other_unit`."""
+        if value == 0.0 or self.low <= value <= self.high:
+            return None
+        compared, limit = ("below", self.low) if value < self.low else ("above", self.high)
+        converted = value * self.factor
+        hint = f"; if it is in {self.other_unit}, write {converted:g}" if self.low <= converted <= self.high else ""
+        return (
+            f"a {self.name} of {value:g} {self.unit} is {compared} that of all known materials, "
+            f"{limit:g} {self.unit}{hint}"
+        )
+
+
+STIFFNESS: Final = Range("stiffness", MIN_STIFFNESS_N_PER_M, MAX_STIFFNESS_N_PER_M, "N/m", "N/mm", 1e3)
+DAMPING: Final = Range("damping", 0.0, 200.0, "N s/m", "mN s/m", 1e-3)
+FREQUENCY: Final = Range("frequency", MIN_FREQUENCY_HZ, 2e4, "Hz", "kHz", 1e3)
+DECAY_TIME: Final = Range("decay time", 3e-5, 0.25, "s", "ms", 1e-3)
+SPACING: Final = Range("groove spacing", 2e-5, 0.1, "m", "mm", 1e-3)
+GROOVE_DEPTH: Final = Range("groove depth", 1e-6, 0.01, "m", "mm", 1e-3)
+RUPTURE_DEPTH: Final = Range("rupture depth", 1e-5, 0.1, "m", "mm", 1e-3)
+RUPTURE_AMPLITUDE: Final = Range(
+    "rupture amplitude", MIN_AMPLITUDE_M_PER_S2, MAX_AMPLITUDE_M_PER_S2, "m/s^2", "g", 9.80665
+)
+TAP_SPEED: Final = Range("tap speed", 0.0, MAX_TAP_SPEED_M_PER_S, "m/s", "mm/s", 1e-3)
+
+
+def figure_warnings(name: str, material: Material) -> list[Problem]:
+    """Return a warning for each figure of a material that no known material has."""
+    return [
+        Problem(path_text(("materials", name, *place)), problem)
+        for place, problem in _material_problems(material)
+        if problem is not None
+    ]
+
+
+def field_problem(item: SceneObject) -> tuple[str, str] | None:
+    """Return key and problem of the first figure of a field that no known material has; None for other objects."""
+    figures: list[tuple[str, Range, float]] = []
+    if item.kind == "spring":
+        figures.append(("stiffness_n_per_m", STIFFNESS, item.stiffness_n_per_m))
+    if item.kind == "spring" or item.kind == "viscous":
+        figures.append(("damping_n_s_per_m", DAMPING, item.damping_n_s_per_m))
+    for key, plausible, value in figures:
+        problem = plausible.problem(value)
+        if problem is not None:
+            return key, problem
+    return None
+
+
+def _material_problems(material: Material) -> Iterator[tuple[Path, str | None]]:
+    """Yield path and problem of each figure of a material; the problem of a plausible figure is None."""
+    yield ("stiffness_n_per_m",), STIFFNESS.problem(material.stiffness_n_per_m)
+    yield ("damping_n_s_per_m",), DAMPING.problem(material.damping_n_s_per_m)
+    if material.friction is not None:
+        yield ("friction", "stiffness_n_per_m"), STIFFNESS.problem(material.friction.stiffness_n_per_m)
+    tap, rupture, texture = material.tap, material.rupture, material.texture
+    if tap is not None:
+        yield from _tap_problems(tap)
+    if rupture is not None:
+        yield from _mode_problems(("rupture",), rupture.mode)
+        yield ("rupture", "amplitude_m_per_s2"), RUPTURE_AMPLITUDE.problem(rupture.amplitude_m_per_s2)
+        if rupture.depth_m is not None:
+            yield ("rupture", "depth_m"), RUPTURE_DEPTH.problem(rupture.depth_m)
+    match texture:
+        case Grooves():
+            yield ("texture", "spacing_m"), SPACING.problem(texture.spacing_m)
+            if texture.depth_m is not None:
+                yield ("texture", "depth_m"), GROOVE_DEPTH.problem(texture.depth_m)
+            if texture.damping_n_s_per_m is not None:
+                yield ("texture", "damping_n_s_per_m"), DAMPING.problem(texture.damping_n_s_per_m)
+            for mode in texture.own_modes:
+                yield from _mode_problems(("texture",), mode)
+        case Stochastic():
+            yield ("texture", "peak_hz"), FREQUENCY.problem(texture.peak_hz)
+            yield ("texture", "mean_hz"), FREQUENCY.problem(texture.mean_hz)
+        case Autoregressive() | None:
+            pass  # fitted, never written by hand
+
+
+def _tap_problems(tap: Tap) -> Iterator[tuple[Path, str | None]]:
+    if tap.amplitudes is not None:
+        yield ("tap", "amplitudes"), TAP_SPEED.problem(tap.amplitudes[-1][0])
+    for mode in tap.modes:
+        yield from _mode_problems(("tap",), mode)
+    if tap.second is not None:
+        yield from _mode_problems(("tap", "second"), tap.second.mode)
+    if tap.attack_slope_per_s and tap.modes:
+        angular_frequency_rad_per_s = tap.modes[0].angular_frequency_rad_per_s
+        low_per_s = MIN_SLOPE_TO_ANGULAR_FREQUENCY * angular_frequency_rad_per_s
+        high_per_s = MAX_SLOPE_TO_ANGULAR_FREQUENCY * angular_frequency_rad_per_s
+        plausible = Range("slope", low_per_s, high_per_s, "1/s", "1/ms", 1e3)
+        if FREQUENCY.problem(tap.modes[0].frequency_hz) is None:
+            yield ("tap", "attack_slope_per_s"), plausible.problem(tap.attack_slope_per_s)
+
+
+def _mode_problems(place: Path, mode: Mode) -> Iterator[tuple[Path, str | None]]:
+    yield place, FREQUENCY.problem(mode.frequency_hz)
+    yield place, DECAY_TIME.problem(mode.decay_time_s)
