@@ -70,7 +70,7 @@ from hapticd.protocol.messages import Code, decode_trusted
 from hapticd.protocol.validation import further_faults, patched_materials, patched_objects, replaced_materials
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
-from hapticd.rendering.placement import Point, held_anew, placement_warnings
+from hapticd.rendering.placement import Point, held_problem, holding, is_put_there, placement_warnings
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 _MAX_PARAM_MEMBERS: Final = 16
@@ -110,8 +110,10 @@ FIRST_STATE_TIMEOUT_S: Final = 1.0
 """Time that `get_state` waits for the first tick; other requests wait too."""
 _FIRST_STATE_POLL_S: Final = 0.001
 """Interval in which `get_state` polls for the first tick."""
-_MOVE_OR_FORCE: Final = "; nothing was changed: move the object or the handle, or repeat the change with force"
-"""End of the message that refuses a change which would hold the handle deep inside an object."""
+_MOVE_OR_FORCE: Final = (
+    "; nothing was changed: move the object or the handle, turn forces off, or repeat the change with force"
+)
+"""End of a problem with an object that would hold the handle deep inside."""
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 
 
@@ -278,33 +280,50 @@ class Methods:
             problems = self._problems_of(new)
             if problems:
                 raise InvalidError(problems)
+            placed = self._placement_warnings(new)
+            yield
             reports = yield from engine.prepared(new.objects.values(), new.materials, new.sent)
-        placed = self._placed(new, isinstance(params, SceneChangeParams) and params.force)
+        if not (isinstance(params, SceneChangeParams) and params.force):
+            self._refuse_to_hold(new)
         revision = engine.take(new.scene, new.materials, new.changed, params.expect_revision)
         warnings = placed + change_warnings(new.objects, new.sent, reports, new.root, engine.played())
         return _Changed(revision, params.wait, warnings[:MAX_FAULTS], engine.margins(touched=True))
 
-    def _placed(self, new: _Proposed, force: bool) -> list[Problem]:
-        """Return the warnings of where the objects of a change lie.
+    def _handle_m(self) -> Point:
+        """Return the newest position of the handle, or the position at the start before the first tick."""
+        newest = None if self._read_state is None else self._read_state()
+        return self._engine.reach.rest_m if newest is None else cast(Point, newest["position_m"])
 
-        Raises MethodError if one of them would come over the handle and hold it deep inside, while forces are on;
-        `force`: it may do so.
-        """
+    def _placement_warnings(self, new: _Proposed) -> list[Problem]:
+        """Return at most MAX_FAULTS warnings of where the objects of a change lie."""
         if not new.objects:
             return []
-        engine, newest = self._engine, None if self._read_state is None else self._read_state()
-        handle_m = engine.reach.rest_m if newest is None else cast(Point, newest["position_m"])
-        counters, before = engine.counters(), engine.scene
-        if new.scene.display.force and counters.forces_on and not counters.latched and not force:
-            known = before.objects if before.display.force else {}
-            held = held_anew(new.objects, known, new.materials, engine.reach, handle_m, new.root)
-            problems = list(islice(held, MAX_FAULTS))
-            if problems:
-                raise MethodError.faulty(problems, Code.HANDLE_INSIDE, _MOVE_OR_FORCE)
         placed = placement_warnings(
-            new.scene, new.materials, engine.reach, objects=new.objects, root=new.root, handle_m=handle_m
+            new.scene,
+            new.materials,
+            self._engine.reach,
+            objects=new.objects,
+            root=new.root,
+            handle_m=self._handle_m(),
         )
         return list(islice(placed, MAX_FAULTS))
+
+    def _refuse_to_hold(self, new: _Proposed) -> None:
+        """Raise MethodError if forces are on, and a new or moved object would hold the handle deep inside."""
+        engine, counters, before = self._engine, self._engine.counters(), self._engine.scene
+        if not new.objects or not new.scene.display.force or not counters.forces_on or counters.latched:
+            return
+        handle_m, known = self._handle_m(), before.objects if before.display.force else {}
+        problems = [
+            Problem(
+                path_text((*new.root, id)),
+                held_problem(new.objects[id], new.materials, engine.reach, handle_m) + _MOVE_OR_FORCE,
+            )
+            for id in holding(new.objects, new.materials, engine.reach, handle_m)
+            if is_put_there(new.objects[id], known.get(id), engine.reach, handle_m)
+        ]
+        if problems:
+            raise MethodError.faulty(problems[:MAX_FAULTS], Code.HANDLE_INSIDE)
 
     def _problems_of(self, new: _Proposed) -> list[Problem]:
         """Return the problems of materials that do not exist or are impossible at this rate."""

@@ -20,8 +20,8 @@ class MethodError(Exception):
         self.data = data
 
     @classmethod
-    def faulty(cls, problems: Sequence[Problem], code: Code = Code.INVALID_PARAMS, remedy: str = "") -> Self:
-        """Return the error that reports these problems; `remedy` ends its message."""
+    def faulty(cls, problems: Sequence[Problem], code: Code = Code.INVALID_PARAMS) -> Self:
+        """Return the error that reports these problems."""
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         data = [{"where": problem.where, "problem": problem.problem} for problem in problems]
-        return cls(code, f"{problems[0]}{more}{remedy}", data)
+        return cls(code, f"{problems[0]}{more}", data)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from hapticd.base.errors import Path, Problem, path_text
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Material
-from hapticd.config.scene import Scene, SceneObject
+from hapticd.config.scene import Scene, SceneObject, Surface
 from hapticd.rendering.plausibility import field_problem
 
 Point: TypeAlias = tuple[float, float]
@@ -66,10 +66,14 @@ def depth_m(item: SceneObject, at_m: Point) -> float:
     return -math.inf
 
 
-def asked_n(item: SceneObject, materials: Mapping[str, Material], at_m: Point) -> float:
-    """Return the force that a solid or a spring asks for at a point: its stiffness times the depth."""
-    depth = depth_m(item, at_m)
-    return _stiffness_at(item, materials, at_m) * depth if depth > 0.0 else 0.0
+def holding(
+    objects: Mapping[str, SceneObject], materials: Mapping[str, Material], reach: Reach, at_m: Point
+) -> Iterator[str]:
+    """Yield the ids of the objects that hold a handle at a point deep inside."""
+    for id, item in objects.items():
+        depth = depth_m(item, at_m)
+        if depth > 0.0 and _stiffness_at(item, materials, at_m) * depth > reach.max_force_n:
+            yield id
 
 
 def is_put_there(item: SceneObject, before: SceneObject | None, reach: Reach, at_m: Point) -> bool:
@@ -79,47 +83,28 @@ def is_put_there(item: SceneObject, before: SceneObject | None, reach: Reach, at
     return depth_m(item, at_m) - depth_m(before, at_m) > MOTION_SHARE * reach.half_travel_m
 
 
-def held_anew(
-    objects: Mapping[str, SceneObject],
-    before: Mapping[str, SceneObject],
-    materials: Mapping[str, Material],
-    reach: Reach,
-    handle_m: Point,
-    root: Path,
-) -> Iterator[Problem]:
-    """Yield a problem for each object that has come over the handle and holds it deep inside; `before`: the old ones.
-
-    An object in which the handle was already, or that only moved (MOTION_SHARE), is left out.
-    """
-    for id, item in objects.items():
-        problem = held_problem(item, materials, reach, handle_m, "the handle")
-        if problem is not None and is_put_there(item, before.get(id), reach, handle_m):
-            yield Problem(path_text((*root, id)), problem)
-
-
 def held_problem(
-    item: SceneObject, materials: Mapping[str, Material], reach: Reach, at_m: Point, handle: str
-) -> str | None:
-    """Return the warning of an object that holds the handle deep inside at a point; None if it does not.
-
-    `handle` says what is at the point.
-    """
-    force_n = asked_n(item, materials, at_m)
-    if force_n <= reach.max_force_n:
-        return None
+    item: SceneObject, materials: Mapping[str, Material], reach: Reach, at_m: Point, handle: str = "the handle"
+) -> str:
+    """Return the warning of an object that holds the handle at a point deep inside. `handle` says what is there."""
     x, y = at_m
-    where = f"{depth_m(item, at_m):.4g} m {'from its centre' if item.kind == 'spring' else 'below its surface'}"
+    depth, stiffness_n_per_m = depth_m(item, at_m), _stiffness_at(item, materials, at_m)
+    where = f"{depth:.4g} m {'from its centre' if item.kind == 'spring' else 'below its surface'}"
     return (
         f"{handle}, at [{x:.4g}, {y:.4g}], is {where}: it pushes with the device's largest force, "
-        f"{reach.max_force_n:g} N, as {_stiffness_at(item, materials, at_m):g} N/m ask for {force_n:.4g} N"
+        f"{reach.max_force_n:g} N, as {stiffness_n_per_m:g} N/m ask for {stiffness_n_per_m * depth:.4g} N"
         f"{_in_mm(item, reach)}"
     )
 
 
 def unreachable_problem(item: SceneObject, reach: Reach) -> str | None:
     """Return the warning of an object that the handle cannot touch anywhere; None if it can, and for a field."""
-    gap_m = _gap_m(item, reach.half_travel_m)
-    if gap_m <= _ROUNDING_M:
+    if item.kind == "viscous" or item.kind == "constant" or item.kind == "spring":
+        return None
+    x, y = item.point_m if item.kind == "wall" else item.center_m
+    half_m = reach.half_travel_m
+    # Nearly all objects have a point in reach; what the others take is not worth computing for these.
+    if (-half_m <= x <= half_m and -half_m <= y <= half_m) or (gap_m := _gap_m(item, half_m)) <= _ROUNDING_M:
         return None
     return (
         f"its surface cannot be reached: it is {gap_m:.4g} m beyond the range of the handle, {reach.half_travel_m:g} m "
@@ -142,9 +127,11 @@ def placement_warnings(
     its position at the start.
     """
     at_m, handle = (reach.rest_m, "the handle at rest") if handle_m is None else (handle_m, "the handle")
-    for id, item in (scene.objects if objects is None else objects).items():
+    objects = scene.objects if objects is None else objects
+    held = frozenset(holding(objects, materials, reach, at_m) if scene.display.force else ())
+    for id, item in objects.items():
         place: Path = ()
-        problem = held_problem(item, materials, reach, at_m, handle) if scene.display.force else None
+        problem = held_problem(item, materials, reach, at_m, handle) if id in held else None
         problem = problem or unreachable_problem(item, reach)
         if problem is None and (found := field_problem(item)) is not None:
             place, problem = (found[0],), found[1]
@@ -187,7 +174,7 @@ def _stiffness_at(item: SceneObject, materials: Mapping[str, Material], at_m: Po
     return materials[name].stiffness_n_per_m
 
 
-def _gap_m(item: SceneObject, half_m: float) -> float:
+def _gap_m(item: Surface, half_m: float) -> float:
     """Return the distance from a surface to the square of half width `half_m`, along one axis; not above 0: none.
 
     It is the largest gap along the axes of both: convex shapes that have none along these overlap.
@@ -202,11 +189,9 @@ def _gap_m(item: SceneObject, half_m: float) -> float:
     if item.kind == "box":
         half_width, half_height = 0.5 * item.size_m[0], 0.5 * item.size_m[1]
         angle_rad = item.angle_rad
-    elif item.kind == "membrane":
+    else:
         half_width, half_height = 0.5 * item.width_m, 0.0
         angle_rad = math.atan2(-item.normal[0], item.normal[1])
-    else:
-        return 0.0
     x, y = item.center_m
     cos, sin = abs(math.cos(angle_rad)), abs(math.sin(angle_rad))
     along, across = _own_axes(item.center_m, angle_rad, (0.0, 0.0))

@@ -80,16 +80,12 @@ def figure_warnings(name: str, material: Material) -> list[Problem]:
 
 def field_problem(item: SceneObject) -> tuple[str, str] | None:
     """Return key and problem of the first figure of a field that no known material has; None for other objects."""
-    figures: list[tuple[str, Range, float]] = []
+    if item.kind != "spring" and item.kind != "viscous":
+        return None
+    figures = [("damping_n_s_per_m", DAMPING.problem(item.damping_n_s_per_m))]
     if item.kind == "spring":
-        figures.append(("stiffness_n_per_m", STIFFNESS, item.stiffness_n_per_m))
-    if item.kind == "spring" or item.kind == "viscous":
-        figures.append(("damping_n_s_per_m", DAMPING, item.damping_n_s_per_m))
-    for key, plausible, value in figures:
-        problem = plausible.problem(value)
-        if problem is not None:
-            return key, problem
-    return None
+        figures.append(("stiffness_n_per_m", STIFFNESS.problem(item.stiffness_n_per_m)))
+    return next(((key, problem) for key, problem in figures if problem is not None), None)
 
 
 def _material_problems(material: Material) -> Iterator[tuple[Path, str | None]]:
