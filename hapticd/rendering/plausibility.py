@@ -6,6 +6,7 @@ most likely in another unit. A value of 0 turns its part off, and is not reporte
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -58,7 +59,8 @@ class Range:
 
 STIFFNESS: Final = Range("stiffness", MIN_STIFFNESS_N_PER_M, MAX_STIFFNESS_N_PER_M, "N/m", "N/mm", 1e3)
 DAMPING: Final = Range("damping", 0.0, 200.0, "N s/m", "mN s/m", 1e-3)
-FREQUENCY: Final = Range("frequency", MIN_FREQUENCY_HZ, 2e4, "Hz", "kHz", 1e3)
+# A frequency that is too high is silent or lowered, and reported as such (displayability.py).
+FREQUENCY: Final = Range("frequency", MIN_FREQUENCY_HZ, math.inf, "Hz", "kHz", 1e3)
 DECAY_TIME: Final = Range("decay time", 3e-5, 0.25, "s", "ms", 1e-3)
 SPACING: Final = Range("groove spacing", 2e-5, 0.1, "m", "mm", 1e-3)
 GROOVE_DEPTH: Final = Range("groove depth", 1e-6, 0.01, "m", "mm", 1e-3)
