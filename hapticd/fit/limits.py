@@ -10,12 +10,10 @@ from typing import Final, TypeVar
 
 from hapticd.rendering.plausibility import (
     MAX_AMPLITUDE_M_PER_S2,
-    MAX_SLOPE_TO_ANGULAR_FREQUENCY,
     MAX_STIFFNESS_N_PER_M,
     MAX_TAP_SPEED_M_PER_S,
     MIN_AMPLITUDE_M_PER_S2,
     MIN_FREQUENCY_HZ,
-    MIN_SLOPE_TO_ANGULAR_FREQUENCY,
     MIN_STIFFNESS_N_PER_M,
 )
 
@@ -109,12 +107,8 @@ class SpeedLawLimits:
     min_speed_m_per_s: float = _limit(1e-3, "m/s", "A slower tap has a wrong unit.")
     max_speed_m_per_s: float = _limit(MAX_TAP_SPEED_M_PER_S, "m/s", "A faster tap has a wrong unit.")
     min_speed_ratio: float = _limit(1.2, "ratio of fastest to slowest", "Speeds that differ less determine no slope.")
-    min_slope_to_angular_frequency: float = _limit(
-        MIN_SLOPE_TO_ANGULAR_FREQUENCY, "ratio", "Taps of Okamura et al. (1998) have 0.07 to 0.87."
-    )
-    max_slope_to_angular_frequency: float = _limit(
-        MAX_SLOPE_TO_ANGULAR_FREQUENCY, "ratio", "A larger ratio has a wrong unit."
-    )
+    min_slope_to_angular_frequency: float = _limit(0.003, "ratio", "Taps of Okamura et al. (1998) have 0.07 to 0.87.")
+    max_slope_to_angular_frequency: float = _limit(10.0, "ratio", "A larger ratio has a wrong unit.")
     significance: float = _limit(0.01, "probability", "An effect with a larger p-value is not significant.")
     min_bend: float = _limit(0.05, "RMS fraction of the line", "A law that differs less from the line is not used.")
     min_aicc_gain: float = _limit(2.0, "AICc", "A law other than the line needs an AICc lower by this (Burnham 2002).")
