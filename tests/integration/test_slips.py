@@ -14,7 +14,7 @@ from hapticd.cli import main
 from hapticd.client.blocking import Client
 from hapticd.protocol.messages import Code
 from tests.support.cli import said
-from tests.support.daemon_process import Daemon, running_daemon
+from tests.support.daemon_process import Daemon, running_daemon, until
 
 WALL = {"kind": "wall", "point_m": [0, -0.01], "normal": [0, 1], "material": "wood"}
 SLIPPED = {**WALL, "point_m": [0, 10]}
@@ -76,7 +76,7 @@ def test_an_object_that_would_hold_the_handle_needs_force(client: Client, kind: 
     answer = client.set_scene({"objects": {"it": HELD[kind]}}, wait=True, force=True)
     (warning,) = answer["warnings"]
     assert warning["where"] == "scene.objects.it"
-    assert warning["problem"] in problem["problem"]
+    assert "it pushes with the device's largest force, 8.9 N" in warning["problem"]
 
 
 def test_moving_a_wall_by_a_slip_needs_force(client: Client) -> None:
@@ -149,7 +149,7 @@ def test_a_reload_of_a_slip_needs_force(tmp_path: Path) -> None:
     with running_daemon("-c", str(file)) as daemon, hapticd.connect(daemon.directory) as client:
         file.write_text(f"{CONFIG}scene: {{objects: {{it: {json.dumps(SLIPPED)}}}}}\n")
         refused(client, "reload")
-        assert "not reloaded: scene.objects.it: the handle" in daemon.said()
+        until(lambda: "not reloaded: scene.objects.it: the handle" in daemon.said())
         assert client.reload(force=True)["warnings"][0]["where"] == "scene.objects.it"
 
 
@@ -157,4 +157,4 @@ def test_a_slip_in_the_configuration_is_logged_at_the_start(tmp_path: Path) -> N
     file = tmp_path / "config.yaml"
     file.write_text(f"{CONFIG}scene: {{objects: {{it: {json.dumps(SLIPPED)}}}}}\n")
     with running_daemon("-c", str(file)) as daemon:
-        assert "scene.objects.it: the handle at rest, at [0, 0], is 10 m below its surface" in daemon.said()
+        until(lambda: "scene.objects.it: the handle at rest, at [0, 0], is 10 m below its surface" in daemon.said())
