@@ -27,9 +27,9 @@ MOTION_SHARE: Final = 0.25
 """A kept object that comes nearer by no more than this part of the half travel has moved; farther, it was put there."""
 FAR_SHARE: Final = 10.0
 """Positions farther from the middle than this multiple of the half travel are reported as implausible."""
-_ROUNDING_M: Final = 1e-9
+_ROUNDING_ERROR_M: Final = 1e-9
 """A smaller distance is due to rounding."""
-_MM: Final = 1e-3
+_M_PER_MM: Final = 1e-3
 
 
 class Reach(NamedTuple):
@@ -104,7 +104,7 @@ def unreachable_problem(item: SceneObject, reach: Reach) -> str | None:
     x, y = item.point_m if item.kind == "wall" else item.center_m
     half_m = reach.half_travel_m
     # Nearly all objects have a point in reach; what the others take is not worth computing for these.
-    if (-half_m <= x <= half_m and -half_m <= y <= half_m) or (gap_m := _gap_m(item, half_m)) <= _ROUNDING_M:
+    if (-half_m <= x <= half_m and -half_m <= y <= half_m) or (gap_m := _gap_m(item, half_m)) <= _ROUNDING_ERROR_M:
         return None
     return (
         f"its surface cannot be reached: it is {gap_m:.4g} m beyond the range of the handle, {reach.half_travel_m:g} m "
@@ -208,7 +208,7 @@ def _in_mm(item: SceneObject, reach: Reach) -> str:
     if item.kind == "viscous" or item.kind == "constant":
         return ""
     key, point_m = ("point_m", item.point_m) if item.kind == "wall" else ("center_m", item.center_m)
-    if not reach.half_travel_m < max(map(abs, point_m)) <= reach.half_travel_m / _MM:
+    if not reach.half_travel_m < max(map(abs, point_m)) <= reach.half_travel_m / _M_PER_MM:
         return ""
-    x, y = (_MM * each for each in point_m)
+    x, y = (_M_PER_MM * each for each in point_m)
     return f"; if {key} is in mm, write [{x:.4g}, {y:.4g}]"
