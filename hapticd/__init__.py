@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from hapticd.recording.recording import Recording, load
     from hapticd.recording.replay import replay
     from hapticd.rendering.offline import render, simulate
+    from hapticd.rendering.plausibility import ImplausibleValue
     from hapticd.sweeps.sweep import sweep
 
 __all__ = [
@@ -90,6 +91,7 @@ __all__ = [
     "GestureEnd",
     "Grooves",
     "HapticdError",
+    "ImplausibleValue",
     "InvalidError",
     "Json",
     "LeaseResult",
@@ -154,6 +156,7 @@ _NAMES_OF_MODULE: Final = {
     "recording.recording": "Recording load",
     "recording.replay": "replay",
     "rendering.offline": "render simulate",
+    "rendering.plausibility": "ImplausibleValue",
     "sweeps.sweep": "sweep",
 }
 """Public names by module; the imports above repeat them for type checkers."""

@@ -40,6 +40,7 @@ from hapticd.rendering.displayed_error import waveform_error
 from hapticd.rendering.driven_hand import driven_hand_warnings
 from hapticd.rendering.filter_design import peak_of
 from hapticd.rendering.lagging_modes import lag_warnings
+from hapticd.rendering.placement import Reach, placement_warnings
 from hapticd.rendering.resampling import resampled
 from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
@@ -142,6 +143,7 @@ def check(config: Config, *, offline: bool = True) -> Report:
         others = [*warnings(scene.objects, materials, output)]
         others += [] if device.loop is None else driven_hand_warnings(config, device.loop, shown)
         found_warnings += [problem for problem in others if problem.where not in slowed]
+        found_warnings += placement_warnings(scene, materials, Reach.of(config))
     unknown = Stability(device.unknown, None)
     return Report(
         output=output,

@@ -46,6 +46,11 @@ _change_options = options(
     json_option,
 )
 """Options of commands that change the scene or materials."""
+_scene_options = options(
+    _change_options,
+    click.option("--force", is_flag=True, help="Make the change even if an object holds the handle deep inside."),
+)
+"""Options of commands that may put objects under the hand."""
 
 
 def _file(name: str) -> str:
@@ -89,19 +94,19 @@ def _change(as_json: bool, send: Callable[[Client], Mapping[str, object]], timeo
 
 
 @click.command("reload", short_help="Reload the configuration files.")
-@_change_options
-def reload_command(expect_revision: int | None, wait: bool, as_json: bool) -> None:
+@_scene_options
+def reload_command(expect_revision: int | None, wait: bool, force: bool, as_json: bool) -> None:
     """Reload scene and materials from the configuration files of the daemon.
 
     The state of contacts and punctures is kept. If any other key has changed, which needs a restart, the reload fails.
     """
-    _change(as_json, lambda client: client.reload(expect_revision, wait), RELOAD_TIMEOUT_S)
+    _change(as_json, lambda client: client.reload(expect_revision, wait, force), RELOAD_TIMEOUT_S)
 
 
 @click.command("apply", short_help="Change materials and scene together.")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", shell_complete=names.scenes)
-@_change_options
-def apply_command(files: tuple[str, ...], expect_revision: int | None, wait: bool, as_json: bool) -> None:
+@_scene_options
+def apply_command(files: tuple[str, ...], expect_revision: int | None, wait: bool, force: bool, as_json: bool) -> None:
     """Apply the materials and scenes in all FILEs as one change, at one tick.
 
     A FILE has the keys `materials`, `scene` or both, or is a scene; it may be the name of a shipped scene, or - for
@@ -114,7 +119,7 @@ def apply_command(files: tuple[str, ...], expect_revision: int | None, wait: boo
     _change(
         as_json,
         lambda client: client.apply(
-            materials=given.materials, scene=given.scene, expect_revision=expect_revision, wait=wait
+            materials=given.materials, scene=given.scene, expect_revision=expect_revision, wait=wait, force=force
         ),
     )
 
@@ -155,13 +160,13 @@ def scene_get(as_json: bool) -> None:
 
 @scene_command.command("update", short_help="Change some objects of the scene.")
 @click.argument("file", type=click.Path())
-@_change_options
-def scene_update(file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
+@_scene_options
+def scene_update(file: str, expect_revision: int | None, wait: bool, force: bool, as_json: bool) -> None:
     """Merge FILE into the objects of the scene, by id and key; the value null removes an object or a key.
 
     FILE is YAML, or - for standard input.
     """
-    _change(as_json, lambda client: client.update_scene(_file(file), expect_revision, wait))
+    _change(as_json, lambda client: client.update_scene(_file(file), expect_revision, wait, force))
 
 
 # ---- The materials ---------------------------------------------------------------------------------------------------

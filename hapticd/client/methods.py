@@ -165,12 +165,14 @@ class Client(ABC):
         return calls.result_of(response, params)
 
     async def _change(
-        self, method: str, params: dict[str, object], expect_revision: int | None, wait: bool
+        self, method: str, params: dict[str, object], expect_revision: int | None, wait: bool, force: bool = False
     ) -> RevisionResult:
         if expect_revision is not None:
             params["expect_revision"] = expect_revision
         if arguments.flag("wait", wait):
             params["wait"] = True
+        if arguments.flag("force", force):
+            params["force"] = True
         return cast(RevisionResult, await self.call(method, params))
 
     async def get_status(self, detail: bool = False) -> Status:
@@ -194,22 +196,26 @@ class Client(ABC):
         return cast(SceneResult, await self.call("get_scene"))
 
     async def set_scene(
-        self, scene: SceneSource, expect_revision: int | None = None, wait: bool = False
+        self, scene: SceneSource, expect_revision: int | None = None, wait: bool = False, force: bool = False
     ) -> RevisionResult:
         """Replace the scene.
 
         `scene` is a mapping, the path of a YAML file with a scene, or a `hapticd.Scene`. With `expect_revision` the
         daemon refuses the change (-32001) if the scene has another revision. With `wait` the result has the first
-        `tick` that was rendered with the new scene.
+        `tick` that was rendered with the new scene. While forces are on, an object that would hold the handle deep
+        inside is refused (-32011), unless `force` is true.
         """
-        return await self._change("set_scene", {"scene": scene_tree(scene)}, expect_revision, wait)
+        return await self._change("set_scene", {"scene": scene_tree(scene)}, expect_revision, wait, force)
 
     async def update_scene(
-        self, objects: PatchSource, expect_revision: int | None = None, wait: bool = False
+        self, objects: PatchSource, expect_revision: int | None = None, wait: bool = False, force: bool = False
     ) -> RevisionResult:
-        """Change scene objects by id, with a JSON Merge Patch (RFC 7396) of `objects`; None removes an object."""
+        """Change scene objects by id, with a JSON Merge Patch (RFC 7396) of `objects`; None removes an object.
+
+        `force` is as in `set_scene`.
+        """
         params: dict[str, object] = {"objects": patch_tree(objects, "scene", "objects")}
-        return await self._change("update_scene", params, expect_revision, wait)
+        return await self._change("update_scene", params, expect_revision, wait, force)
 
     async def get_materials(self) -> MaterialsResult:
         """Return all materials by name, including the shipped ones."""
@@ -239,17 +245,18 @@ class Client(ABC):
         scene: SceneSource | None = None,
         expect_revision: int | None = None,
         wait: bool = False,
+        force: bool = False,
     ) -> RevisionResult:
         """Set materials as `set_materials` does and the scene as `set_scene` does, as one change at one tick.
 
-        If materials or scene are invalid, nothing is changed.
+        If materials or scene are invalid, nothing is changed. `force` is as in `set_scene`.
         """
         params: dict[str, object] = {}
         if materials is not None:
             params["materials"] = patch_tree(materials, "materials")
         if scene is not None:
             params["scene"] = scene_tree(scene)
-        return await self._change("apply", params, expect_revision, wait)
+        return await self._change("apply", params, expect_revision, wait, force)
 
     async def play(
         self,
@@ -338,9 +345,11 @@ class Client(ABC):
         params = {"duration_s": duration_s} if token is None else {"duration_s": duration_s, "token": token}
         return cast(LeaseResult, await self.call("lease", params))
 
-    async def reload(self, expect_revision: int | None = None, wait: bool = False) -> RevisionResult:
-        """Reload scene and materials from the configuration files of the daemon."""
-        return await self._change("reload", {}, expect_revision, wait)
+    async def reload(
+        self, expect_revision: int | None = None, wait: bool = False, force: bool = False
+    ) -> RevisionResult:
+        """Reload scene and materials from the configuration files of the daemon; `force` is as in `set_scene`."""
+        return await self._change("reload", {}, expect_revision, wait, force)
 
     async def dump_flight(self) -> FlightResult:
         """Write the last seconds of telemetry to a flight file on the daemon's machine; the result has its path."""

@@ -12,6 +12,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from itertools import islice
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
@@ -38,6 +39,7 @@ from hapticd.base.core import (
     pointer,
 )
 from hapticd.base.errors import HapticdError, InvalidError, Problem
+from hapticd.base.model import MAX_FAULTS
 from hapticd.base.steps import Steps
 from hapticd.config.configuration import Config, Device
 from hapticd.config.materials import Material, Materials
@@ -70,6 +72,7 @@ from hapticd.rendering.displayability import (
     warnings,
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
+from hapticd.rendering.placement import Reach, placement_warnings
 from hapticd.rendering.surface_margins import SurfaceMargins
 from hapticd.rendering.undisplayable_text import Undisplayable
 from hapticd.system.idle_states import IdleStateLock
@@ -120,6 +123,7 @@ class Engine:
         self.config = config
         self.rate_hz = servo.rate_hz
         self.state = State(config.scene, config.materials, 1)
+        self.reach = Reach.of(config)
         self.granted: Granted | None = None
         self._poll_due_ns = 0
         self._suspends = 0
@@ -418,6 +422,7 @@ class Engine:
         undisplayable = [one for each in reports.values() for one in each.undisplayable]
         others = [one for each in reports.values() for one in each.warnings]
         others += warnings(objects, {}, self.output)
+        others += islice(placement_warnings(scene, materials, self.reach), MAX_FAULTS)
         return [one for one in undisplayable if (one.material, one.mode) not in played], others
 
     def report_of(self, name: str, material: Material) -> MaterialReport:

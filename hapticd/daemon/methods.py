@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import islice
 from time import monotonic_ns
 from typing import Any, Final, NamedTuple, TypeAlias, cast
 
@@ -48,6 +49,7 @@ from hapticd.daemon.params import (
     PlayParams,
     ReloadParams,
     ResetParams,
+    SceneChangeParams,
     SetForcesParams,
     SetMaterialsParams,
     SetSceneParams,
@@ -68,6 +70,7 @@ from hapticd.protocol.messages import Code, decode_trusted
 from hapticd.protocol.validation import further_faults, patched_materials, patched_objects, replaced_materials
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
+from hapticd.rendering.placement import Point, held_problem, holding, is_put_there, placement_warnings
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 _MAX_PARAM_MEMBERS: Final = 16
@@ -107,6 +110,10 @@ FIRST_STATE_TIMEOUT_S: Final = 1.0
 """Time that `get_state` waits for the first tick; other requests wait too."""
 _FIRST_STATE_POLL_S: Final = 0.001
 """Interval in which `get_state` polls for the first tick."""
+_MOVE_OR_FORCE: Final = (
+    "; nothing was changed: move the object or the handle, turn forces off, or repeat the change with force"
+)
+"""End of a problem with an object that would hold the handle deep inside."""
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 
 
@@ -273,10 +280,50 @@ class Methods:
             problems = self._problems_of(new)
             if problems:
                 raise InvalidError(problems)
+            placed = self._placement_warnings(new)
+            yield
             reports = yield from engine.prepared(new.objects.values(), new.materials, new.sent)
+        if not (isinstance(params, SceneChangeParams) and params.force):
+            self._refuse_to_hold(new)
         revision = engine.take(new.scene, new.materials, new.changed, params.expect_revision)
-        warnings = change_warnings(new.objects, new.sent, reports, new.root, engine.played())
-        return _Changed(revision, params.wait, warnings, engine.margins(touched=True))
+        warnings = placed + change_warnings(new.objects, new.sent, reports, new.root, engine.played())
+        return _Changed(revision, params.wait, warnings[:MAX_FAULTS], engine.margins(touched=True))
+
+    def _handle_m(self) -> Point:
+        """Return the newest position of the handle, or the position at the start before the first tick."""
+        newest = None if self._read_state is None else self._read_state()
+        return self._engine.reach.rest_m if newest is None else cast(Point, newest["position_m"])
+
+    def _placement_warnings(self, new: _Proposed) -> list[Problem]:
+        """Return at most MAX_FAULTS warnings of where the objects of a change lie."""
+        if not new.objects:
+            return []
+        placed = placement_warnings(
+            new.scene,
+            new.materials,
+            self._engine.reach,
+            objects=new.objects,
+            root=new.root,
+            handle_m=self._handle_m(),
+        )
+        return list(islice(placed, MAX_FAULTS))
+
+    def _refuse_to_hold(self, new: _Proposed) -> None:
+        """Raise MethodError if forces are on, and a new or moved object would hold the handle deep inside."""
+        engine, counters, before = self._engine, self._engine.counters(), self._engine.scene
+        if not new.objects or not new.scene.display.force or not counters.forces_on or counters.latched:
+            return
+        handle_m, known = self._handle_m(), before.objects if before.display.force else {}
+        problems = [
+            Problem(
+                path_text((*new.root, id)),
+                held_problem(new.objects[id], new.materials, engine.reach, handle_m) + _MOVE_OR_FORCE,
+            )
+            for id in holding(new.objects, new.materials, engine.reach, handle_m)
+            if is_put_there(new.objects[id], known.get(id), engine.reach, handle_m)
+        ]
+        if problems:
+            raise MethodError.faulty(problems[:MAX_FAULTS], Code.HANDLE_INSIDE)
 
     def _problems_of(self, new: _Proposed) -> list[Problem]:
         """Return the problems of materials that do not exist or are impossible at this rate."""
@@ -375,6 +422,9 @@ class Methods:
                 proposed = proposed._replace(scene=engine.scene, materials=engine.materials)
             changed = yield from self._take(params, proposed)
         except StaleRevisionError:
+            raise
+        except MethodError as error:
+            self._log_reload(logging.ERROR, f"not reloaded: {error}")
             raise
         except HapticdError as error:
             self._log_reload(logging.ERROR, f"not reloaded: {error}")

@@ -38,7 +38,17 @@ class ChangeParams(Model):
     wait: bool = Field(default=False, description="answer when the servo has taken the change")
 
 
-class SetSceneParams(ChangeParams):
+class SceneChangeParams(ChangeParams):
+    """Params of every method that may put objects under the hand."""
+
+    force: bool = Field(
+        default=False,
+        description="make the change even if a new or moved object holds the handle deep inside, while forces are on "
+        "(else it is refused, -32011)",
+    )
+
+
+class SetSceneParams(SceneChangeParams):
     """Params of `set_scene`."""
 
     scene: Annotated[object, DescribedAs(Scene)] = Field(
@@ -46,7 +56,7 @@ class SetSceneParams(ChangeParams):
     )
 
 
-class UpdateSceneParams(ChangeParams):
+class UpdateSceneParams(SceneChangeParams):
     """Params of `update_scene`."""
 
     objects: dict[str, object] = Field(
@@ -70,7 +80,7 @@ class SetMaterialsParams(ChangeParams):
     )
 
 
-class ApplyParams(ChangeParams):
+class ApplyParams(SceneChangeParams):
     """Params of `apply`: materials, a scene or both."""
 
     model_config = ConfigDict(json_schema_extra={"anyOf": [given("materials"), {"required": ["scene"]}]})
@@ -83,7 +93,7 @@ class ApplyParams(ChangeParams):
     )
 
 
-class ReloadParams(ChangeParams):
+class ReloadParams(SceneChangeParams):
     """Params of `reload`."""
 
 

@@ -20,8 +20,8 @@ class MethodError(Exception):
         self.data = data
 
     @classmethod
-    def faulty(cls, problems: Sequence[Problem]) -> Self:
-        """Return the error INVALID_PARAMS that reports these problems."""
+    def faulty(cls, problems: Sequence[Problem], code: Code = Code.INVALID_PARAMS) -> Self:
+        """Return the error that reports these problems."""
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         data = [{"where": problem.where, "problem": problem.problem} for problem in problems]
-        return cls(Code.INVALID_PARAMS, f"{problems[0]}{more}", data)
+        return cls(code, f"{problems[0]}{more}", data)

@@ -9,6 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
+from hapticd.rendering.plausibility import (
+    MAX_AMPLITUDE_M_PER_S2,
+    MAX_STIFFNESS_N_PER_M,
+    MAX_TAP_SPEED_M_PER_S,
+    MIN_AMPLITUDE_M_PER_S2,
+    MIN_FREQUENCY_HZ,
+    MIN_STIFFNESS_N_PER_M,
+)
+
 _T = TypeVar("_T")
 
 
@@ -84,7 +93,7 @@ class TapLimits:
     max_residual_to_noise: float = _limit(1.3, "ratio", "A larger residual is more than the noise before the onset.")
     min_pattern_rms: float = _limit(0.02, "fraction of the ringing", "A weaker pattern in residuals is not reported.")
     max_opposite_fraction: float = _limit(0.25, "fraction of taps", "A fit with more taps of opposite sign is refused.")
-    min_frequency_hz: float = _limit(15.0, "Hz", "A slower vibration is a motion of the hand.")
+    min_frequency_hz: float = _limit(MIN_FREQUENCY_HZ, "Hz", "A slower vibration is a motion of the hand.")
     max_decay_time: float = _limit(0.5, "fraction of the fitted time", "A slower decay is not that of a tap.")
     min_frequency_change: float = _limit(0.02, "fraction", "A smaller change with speed needs no table of modes.")
     min_decay_change: float = _limit(0.1, "fraction", "A smaller change with speed needs no table of modes.")
@@ -97,7 +106,7 @@ class SpeedLawLimits:
 
     min_taps: int = _limit(3, "taps", "Fewer taps give no useful interval.")
     min_speed_m_per_s: float = _limit(1e-3, "m/s", "A slower tap has a wrong unit.")
-    max_speed_m_per_s: float = _limit(10.0, "m/s", "A faster tap has a wrong unit.")
+    max_speed_m_per_s: float = _limit(MAX_TAP_SPEED_M_PER_S, "m/s", "A faster tap has a wrong unit.")
     min_speed_ratio: float = _limit(1.2, "ratio of fastest to slowest", "Speeds that differ less determine no slope.")
     min_slope_to_angular_frequency: float = _limit(0.003, "ratio", "Taps of Okamura et al. (1998) have 0.07 to 0.87.")
     max_slope_to_angular_frequency: float = _limit(10.0, "ratio", "A larger ratio has a wrong unit.")
@@ -220,8 +229,8 @@ class PunctureLimits:
     min_loaded_samples: int = _limit(20, "samples", "Fewer samples do not determine a stiffness.")
     min_r_squared: float = _limit(0.7, "r^2", "If force follows position less, columns are swapped.")
     max_depth_m: float = _limit(1.0, "m", "If the position has a larger range, the unit is wrong.")
-    min_stiffness_n_per_m: float = _limit(1.0, "N/m", "A softer membrane has a wrong unit.")
-    max_stiffness_n_per_m: float = _limit(1e5, "N/m", "A stiffer membrane has a wrong unit.")
+    min_stiffness_n_per_m: float = _limit(MIN_STIFFNESS_N_PER_M, "N/m", "A softer membrane has a wrong unit.")
+    max_stiffness_n_per_m: float = _limit(MAX_STIFFNESS_N_PER_M, "N/m", "A stiffer membrane has a wrong unit.")
     max_stiffness_change: float = _limit(0.1, "fraction", "A larger change of the stiffness is reported.")
     touch_load: float = _limit(0.02, "fraction of the load", "The touch is where the force exceeds this.")
     max_soft_depth: float = _limit(0.03, "fraction of the depth", "A deeper soft start is reported.")
@@ -232,8 +241,12 @@ class PunctureLimits:
     max_replaced: float = _limit(0.02, "fraction of samples", "A puncture with more replaced samples is left out.")
     min_explained: float = _limit(0.7, "fraction of the variance", "A ringing that one mode explains less is left out.")
     well_explained: float = _limit(0.8, "fraction of the variance", "If one mode explains less, this is reported.")
-    min_amplitude_m_per_s2: float = _limit(0.1, "m/s^2", "If the median rupture is weaker, the unit is wrong.")
-    max_amplitude_m_per_s2: float = _limit(3000.0, "m/s^2", "If the median rupture is stronger, the unit is wrong.")
+    min_amplitude_m_per_s2: float = _limit(
+        MIN_AMPLITUDE_M_PER_S2, "m/s^2", "If the median rupture is weaker, the unit is wrong."
+    )
+    max_amplitude_m_per_s2: float = _limit(
+        MAX_AMPLITUDE_M_PER_S2, "m/s^2", "If the median rupture is stronger, the unit is wrong."
+    )
     max_outlier_ratio: float = _limit(3.0, "ratio to the median", "A ringing farther from the median is left out.")
     max_outlier_fraction: float = _limit(0.25, "fraction of the punctures", "If more are outliers, all are used.")
     min_trend_punctures: int = _limit(4, "punctures", "Fewer punctures show no trend of amplitude with speed.")

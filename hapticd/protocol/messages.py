@@ -54,7 +54,7 @@ _RESULT_KEY: Final = encode("result")
 
 
 class Code(enum.IntEnum):
-    """Error codes of the protocol: those of JSON-RPC 2.0 (-32700 to -32600) and of the daemon (-32010 to -32001)."""
+    """Error codes of the protocol: those of JSON-RPC 2.0 (-32700 to -32600) and of the daemon (-32011 to -32001)."""
 
     PARSE = -32700
     INVALID_REQUEST = -32600
@@ -70,6 +70,7 @@ class Code(enum.IntEnum):
     NO_OPERATOR = -32008
     DAEMON_AWAY = -32009
     STREAM_HELD = -32010
+    HANDLE_INSIDE = -32011
 
 
 class WireError(HapticdError):

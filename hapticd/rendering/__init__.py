@@ -19,6 +19,8 @@ What can be displayed:
     driven_hand         whether a texture keeps a light hand moving
     displayed_error     error of the handle's acceleration relative to the mode
     rearm               distance to which the probe must withdraw before it can tap a surface again
+    plausibility        figures of materials that no known material has, and the unit that they may be in
+    placement           objects that the handle cannot reach, or that hold it deep inside
 
 Stability:
 

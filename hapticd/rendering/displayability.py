@@ -26,6 +26,7 @@ from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayed_error import displayed_error
 from hapticd.rendering.filter_design import power_above, stochastic_filter
 from hapticd.rendering.kept_contact import KeptTap, kept_tap
+from hapticd.rendering.plausibility import figure_warnings
 from hapticd.rendering.resampling import resampled
 from hapticd.rendering.undisplayable_text import Undisplayable, Use
 
@@ -257,8 +258,9 @@ def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Materia
 
 
 def material_warnings(name: str, material: Material, output: Output) -> list[Problem]:
-    """Return a warning for each part of one material that is displayed with a deviation."""
-    found = [*_compensation_warnings(name, material, output), *_waveform_warnings(name, material, output)]
+    """Return a warning for each part of one material that is displayed with a deviation or has implausible figures."""
+    found = figure_warnings(name, material)
+    found += [*_compensation_warnings(name, material, output), *_waveform_warnings(name, material, output)]
     match material.texture:
         case Grooves() as texture:
             found += _groove_warnings(name, texture, output)

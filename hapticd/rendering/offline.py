@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings as python_warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -29,7 +30,7 @@ from hapticd.base.core import (
     records,
 )
 from hapticd.base.errors import HapticdError, InvalidError, Problem, shown
-from hapticd.base.model import problems_of
+from hapticd.base.model import MAX_FAULTS, problems_of
 from hapticd.config.configuration import Config, ConfigSource, Servo, load_config
 from hapticd.config.materials import Materials
 from hapticd.config.modes import Attack, Mode
@@ -40,6 +41,8 @@ from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import Output, loop_of, output_of
 from hapticd.rendering.displayability import materials_in, rate_faults, undisplayable, warnings
 from hapticd.rendering.joystick import new_operator, new_sim, waypoints_of
+from hapticd.rendering.placement import Reach, far_positions, placement_warnings
+from hapticd.rendering.plausibility import ImplausibleValue, figure_warnings
 from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.undisplayable_text import Undisplayable
 
@@ -69,6 +72,8 @@ class Run:
     """Modes, waveforms and texture peaks of the scene whose frequency is too high for this rate."""
     warnings: tuple[Problem, ...]
     """Deviations in the display of the scene at this rate; in the closed loop also contact sets that may oscillate."""
+    implausible: tuple[Problem, ...]
+    """Those of `warnings` that are about figures and positions, which may be in another unit."""
     rate_hz: float
     """Ticks per second."""
 
@@ -103,16 +108,30 @@ class CompiledScene:
         assert loop is not None
         return evaluate(self._compiler, self.config.scene, loop)
 
-    def run_of(self, samples: Samples, events: Events, truth: Floats | None, unstable: Iterable[Problem] = ()) -> Run:
-        """Return a Run with these results and the scene's warnings, to which `unstable` is added."""
+    def run_of(
+        self,
+        samples: Samples,
+        events: Events,
+        truth: Floats | None,
+        placed: Iterable[Problem],
+        unstable: Iterable[Problem] = (),
+    ) -> Run:
+        """Return a Run with these results and the scene's warnings, to which `placed` and `unstable` are added.
+
+        `placed`: implausible positions.
+        """
         objects, materials = self.config.scene.objects, self.config.materials
+        placed = tuple(placed)
+        shown = materials_in(objects, materials)
+        figures = (problem for name, material in shown.items() for problem in figure_warnings(name, material))
         return Run(
             samples,
             events,
             {place: id for id in objects if (place := self._compiler.slot_of(id)) is not None},
             truth,
-            tuple(undisplayable(materials_in(objects, materials), self.output)),
-            (*warnings(objects, materials, self.output), *unstable),
+            tuple(undisplayable(shown, self.output)),
+            (*placed, *warnings(objects, materials, self.output), *unstable),
+            (*placed, *figures),
             self.rate_hz,
         )
 
@@ -347,6 +366,12 @@ def _positions(position_m: npt.ArrayLike, name: str) -> Floats:
     return array
 
 
+def _warn_of(problems: Iterable[Problem]) -> None:
+    """Issue a Python warning for each problem, at the line that called `render` or `simulate`."""
+    for problem in problems:
+        python_warnings.warn(ImplausibleValue(str(problem)), stacklevel=3)
+
+
 def render(
     config: ConfigSource,
     position_m: npt.ArrayLike,
@@ -362,9 +387,12 @@ def render(
     velocity is estimated (for exact positions: the backward difference). Forces are on from the first sample. If the
     probe starts inside an object, its force rises over the scene's ramp_s.
 
-    Returns (n,) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
+    Returns (n,) records of SAMPLE_DTYPE. Warns of values that may be in another unit (ImplausibleValue). Raises
+    InvalidError, HapticdError.
     """
-    return render_run(config, position_m, rate_hz, velocity_m_per_s=velocity_m_per_s).samples
+    run = render_run(config, position_m, rate_hz, velocity_m_per_s=velocity_m_per_s)
+    _warn_of(run.implausible)
+    return run.samples
 
 
 def render_run(
@@ -400,7 +428,7 @@ def render_run(
             found,
         ),
     )
-    return scene.run_of(samples, events, None)
+    return scene.run_of(samples, events, None, far_positions(positions, Reach.of(scene.config), "position_m"))
 
 
 def simulate(
@@ -417,9 +445,13 @@ def simulate(
     mapping or a path. The handle starts at rest at the hand's first reference position. `duration_s` is by default the
     operator's, `rate_hz`, ticks per second, the configuration's.
 
-    Returns (round(duration_s * rate),) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
+    Returns (round(duration_s * rate),) records of SAMPLE_DTYPE. Warns of values that may be in another unit, and of
+    objects that the handle cannot reach or that hold it deep inside (ImplausibleValue). Raises InvalidError,
+    HapticdError.
     """
-    return simulate_run(config, waypoints, duration_s, rate_hz, interpolation=interpolation).samples
+    run = simulate_run(config, waypoints, duration_s, rate_hz, interpolation=interpolation)
+    _warn_of(run.implausible)
+    return run.samples
 
 
 def simulate_run(
@@ -441,7 +473,13 @@ def simulate_run(
     lasting_s = _duration(float(path[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
     unstable = scene.stability().problems() if check_stability else ()
     samples, truth, events = Simulation(scene, path.tolist(), operator.interpolation).run(lasting_s)
-    return scene.run_of(samples, events, truth, unstable)
+    reach = Reach.of(scene.config)
+    start_m = (float(path[0, 1]), float(path[0, 2]))
+    placed = [
+        *far_positions(path[:, 1:], reach, "waypoints"),
+        *placement_warnings(scene.config.scene, scene.config.materials, reach._replace(rest_m=start_m)),
+    ]
+    return scene.run_of(samples, events, truth, placed[:MAX_FAULTS], unstable)
 
 
 def _operator(

@@ -40,14 +40,17 @@ async def _shipped(_: Page, params: Mapping[str, object]) -> object:
 
 
 async def _open(page: Page, params: Mapping[str, object]) -> object:
-    """Answer web.yaml_open: check the `text` of the file `name`, and apply its scene and materials in one change."""
-    return await _apply(page, params.get("name"), params.get("text"))
+    """Answer web.yaml_open: check the `text` of the file `name`, and apply its scene and materials in one change.
+
+    `force` is that of the method apply.
+    """
+    return await _apply(page, params, params.get("name"), params.get("text"))
 
 
 async def _open_shipped(page: Page, params: Mapping[str, object]) -> object:
     """Answer web.yaml_open_shipped: apply a shipped file, by `folder` (scenes, materials) and `name`.
 
-    The result has the file's `text`.
+    `force` is that of the method apply. The result has the file's `text`.
     """
     folder, name = params.get("folder"), params.get("name")
     if folder not in _SHIPPED_FOLDERS:
@@ -56,19 +59,22 @@ async def _open_shipped(page: Page, params: Mapping[str, object]) -> object:
     if not isinstance(name, str) or name not in files:
         raise HapticdError(f"name: must be one of {', '.join(files)}")
     text = await asyncio.to_thread(Path(files[name]).read_text, encoding="utf-8")
-    return {**await _apply(page, f"{name}.yaml", text), "text": text}
+    return {**await _apply(page, params, f"{name}.yaml", text), "text": text}
 
 
-async def _apply(page: Page, name: object, text: object) -> dict[str, object]:
+async def _apply(page: Page, params: Mapping[str, object], name: object, text: object) -> dict[str, object]:
     """Apply the scene and materials of a YAML text. An error lists the problems of the text by line and key."""
-    given = str(name)
+    given, force = str(name), params.get("force", False)
+    if not isinstance(force, bool):
+        raise HapticdError("force: must be true or false")
     try:
         opened = await asyncio.to_thread(_read, name, text)
-        result = await page.daemon.apply(materials=opened.change.materials, scene=opened.change.scene, wait=True)
+        change = opened.change
+        result = await page.daemon.apply(materials=change.materials, scene=change.scene, wait=True, force=force)
     except InvalidError as error:
         raise _refused(given, error.problems) from None
     except RemoteError as error:
-        raise _refused(given, error.problems) if error.problems else error from None
+        raise _refused(given, error.problems, error.code) if error.problems else error from None
     materials = (await page.daemon.get_materials())["materials"]
     differing = await asyncio.to_thread(yaml_files.changed_materials, materials)
     scene = opened.scene
@@ -90,10 +96,10 @@ def _read(name: object, text: object) -> Opened:
     return yaml_files.read(name, text)
 
 
-def _refused(name: str, problems: tuple[Problem, ...]) -> RemoteError:
+def _refused(name: str, problems: tuple[Problem, ...], code: int = Code.INVALID_PARAMS) -> RemoteError:
     listed = yaml_files.placed(problems, name)
     text = f"{printable(name)}: {wording.count(len(listed), 'fault')}; nothing was changed"
-    return RemoteError(Code.INVALID_PARAMS, text, listed)
+    return RemoteError(code, text, listed)
 
 
 async def _save(page: Page, params: Mapping[str, object]) -> object:

@@ -101,7 +101,7 @@ def test_discs_that_a_hand_can_press_through_are_reported() -> None:
     """K R against the force limit: 800 N/m of 5 mm hold 4 N. This is reported, and does not count as a problem."""
     discs = {
         name: {"kind": "disc", "center_m": [x, 0.02], "radius_m": radius, "material": "soft"}
-        for name, x, radius in (("small", 0.0, 0.005), ("just", 0.05, 0.01), ("large", 0.1, 0.02))
+        for name, x, radius in (("small", 0.0, 0.005), ("just", 0.05, 0.01), ("large", 0.09, 0.02))
     }
     given = {
         "device": {"max_force_n": 8},

@@ -71,7 +71,7 @@ def test_the_newest_sample_is_that_of_the_topic_and_newer_than_what_was_answered
 def test_the_newest_sample_knows_what_is_touched(client: Client) -> None:
     deep = {"kind": "wall", "point_m": [0, 0.3], "normal": [0, 1], "material": "wood"}
     with client.events() as events:
-        client.set_scene({"objects": {"deep": deep}})
+        client.set_scene({"objects": {"deep": deep}}, force=True)
         next_of(events, "contact")
     state = client.get_state()
     assert state["touching"] == ["deep"]

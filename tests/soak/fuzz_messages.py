@@ -72,12 +72,12 @@ PARAMETERS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
         ("get_state", "", ""),
         ("get_config", "", ""),
         ("get_scene", "", ""),
-        ("set_scene", "scene", "expect_revision wait"),
-        ("update_scene", "objects", "expect_revision wait"),
+        ("set_scene", "scene", "expect_revision force wait"),
+        ("update_scene", "objects", "expect_revision force wait"),
         ("get_materials", "", ""),
         ("set_materials", "materials", "expect_revision wait"),
         ("update_materials", "materials", "expect_revision wait"),
-        ("apply", "", "materials scene expect_revision wait"),
+        ("apply", "", "materials scene expect_revision force wait"),
         ("play", "direction amplitude_m_per_s2", "mode material"),
         ("reset", "", "objects"),
         ("mark", "text", "data"),
@@ -86,7 +86,7 @@ PARAMETERS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
         ("stream_target", "seq position_m", ""),
         ("stream_force", "seq force_n", ""),
         ("lease", "duration_s", "token"),
-        ("reload", "", "expect_revision wait"),
+        ("reload", "", "expect_revision force wait"),
         ("dump_flight", "", ""),
     )
 }
@@ -123,6 +123,7 @@ RESULTS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
 _CHANGED, _FULL, _OFF = (frozenset((-32005, -32006, *more)) for more in ((-32001,), (), (-32003,)))
 ERRORS: Final[dict[str, frozenset[int]]] = {
     **dict.fromkeys(CHANGES, _CHANGED),
+    **dict.fromkeys(("set_scene", "update_scene", "apply", "reload"), _CHANGED | {-32011}),
     **dict.fromkeys(("get_state", "mark", "reset", "set_operator"), _FULL),
     **dict.fromkeys(("play", "set_forces"), _OFF),
     **dict.fromkeys(("stream_target", "stream_force"), frozenset((-32010,))),
@@ -371,7 +372,9 @@ def mutated(source: random.Random, tree: Tree) -> None:
             (*_METHODS, "", "Get_status", "__init__", "get_status ", "rpc.discover", "x" * 5000)
         )
     elif choice < 0.96 and type(params) is dict:
-        params[source.choice(("expect_revision", "wait", "token", "unknown", "material"))] = fuzzing.value(source)
+        params[source.choice(("expect_revision", "force", "wait", "token", "unknown", "material"))] = fuzzing.value(
+            source
+        )
     elif choice < 0.98:
         target = params if type(params) is dict and params else tree
         target[source.choice(tuple(target))] = fuzzing.nested(source, source.choice((5, 28, 29, 30, 31, 32, 33, 60)))
@@ -598,7 +601,7 @@ def _check_result(method: str, result: Tree) -> None:
 
 def _check_data(code: int, error: Tree) -> None:
     data = error.get("data")
-    if code == PARAMS and data is not None:
+    if code in (PARAMS, -32011) and data is not None:
         assert type(data) is list and data
         for fault in data:
             assert fault.keys() == {"where", "problem"}

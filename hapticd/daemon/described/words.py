@@ -11,6 +11,8 @@ from hapticd.protocol.messages import Code
 
 _CHANGE_CODES: Final = (Code.STALE_REVISION, Code.RING_FULL, Code.WAIT_TIMED_OUT)
 """Errors of the methods that change scene or materials."""
+_SCENE_CODES: Final = (*_CHANGE_CODES, Code.HANDLE_INSIDE)
+"""Errors of the methods that may put objects under the hand."""
 _COMMAND_CODES: Final = (Code.RING_FULL, Code.WAIT_TIMED_OUT)
 """Errors of the methods that send the servo a command."""
 
@@ -36,14 +38,14 @@ METHOD_DESCRIPTIONS: Final[dict[str, MethodDescription]] = {
         "Return the sections `servo` and `device` of the configuration", results.ConfigResult
     ),
     "get_scene": MethodDescription("Return the scene, in a form that can be sent back", results.SceneResult),
-    "set_scene": MethodDescription("Replace the scene, all or nothing", results.RevisionResult, _CHANGE_CODES),
-    "update_scene": MethodDescription("Change, add and remove objects", results.RevisionResult, _CHANGE_CODES),
+    "set_scene": MethodDescription("Replace the scene, all or nothing", results.RevisionResult, _SCENE_CODES),
+    "update_scene": MethodDescription("Change, add and remove objects", results.RevisionResult, _SCENE_CODES),
     "get_materials": MethodDescription("Return all materials, the shipped ones too", results.MaterialsResult),
     "set_materials": MethodDescription(
         "Add materials, or replace them completely", results.RevisionResult, _CHANGE_CODES
     ),
     "update_materials": MethodDescription("Change, add and remove materials", results.RevisionResult, _CHANGE_CODES),
-    "apply": MethodDescription("Set materials and scene in one change", results.RevisionResult, _CHANGE_CODES),
+    "apply": MethodDescription("Set materials and scene in one change", results.RevisionResult, _SCENE_CODES),
     "play": MethodDescription("Strike a mode once", results.PlayResult, (Code.FORCES_OFF, *_COMMAND_CODES)),
     "reset": MethodDescription("Close punctured membranes and clear contacts", results.TickResult, _COMMAND_CODES),
     "mark": MethodDescription("Put a mark into events and recordings", results.TickResult, _COMMAND_CODES),
@@ -64,7 +66,7 @@ METHOD_DESCRIPTIONS: Final[dict[str, MethodDescription]] = {
         results.LeaseResult,
         (Code.LEASE_HELD, Code.LEASE_LAPSED),
     ),
-    "reload": MethodDescription("Read the configuration files again", results.RevisionResult, _CHANGE_CODES),
+    "reload": MethodDescription("Read the configuration files again", results.RevisionResult, _SCENE_CODES),
     "dump_flight": MethodDescription(
         "Write the telemetry that the flight recorder keeps to a file", results.FlightResult
     ),
@@ -128,6 +130,11 @@ CODE_DESCRIPTIONS: Final[dict[Code, CodeDescription]] = {
     Code.STREAM_HELD: CodeDescription(
         "a stream of another connection is under way",
         '`{"free_s"}`: seconds until that stream ends, if its sender sends nothing more',
+    ),
+    Code.HANDLE_INSIDE: CodeDescription(
+        "while forces are on, a new or moved object would hold the handle deep inside: it would push with the device's "
+        "largest force. Move the object or the handle, or send `force`: true",
+        'a list of `{"where", "problem"}`',
     ),
 }
 

@@ -6,6 +6,7 @@ import { check, options } from "./scope/elements.js";
 import { fileName, save } from "./scope/export.js";
 
 const MAX_FILE_BYTES = 1_900_000; // largest file: a message to hapticd web has at most 2 MiB
+const HANDLE_INSIDE_CODE = -32011; // an object of the file would hold the handle deep inside
 const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
 
 export function mount(app, panel) {
@@ -16,6 +17,7 @@ class FilesPanel {
   #app;
   #opened = null; // {name, text, others}: the file into which changes are saved
   #shipped = null;
+  #insisting = null; // the file that is opened with force if it is opened once more
 
   constructor(app, panel) {
     this.#app = app;
@@ -153,7 +155,7 @@ class FilesPanel {
 
   #openShipped(folder, name) {
     return this.#during(async () => {
-      const found = await this.#app.link.call("web.yaml_open_shipped", { folder, name });
+      const found = await this.#open("web.yaml_open_shipped", { folder, name });
       this.#took(found, found.text);
     });
   }
@@ -172,8 +174,25 @@ class FilesPanel {
       } catch {
         throw new Error(`${file.name} is not UTF-8 text`);
       }
-      this.#took(await this.#app.link.call("web.yaml_open", { name: file.name, text }), text);
+      this.#took(await this.#open("web.yaml_open", { name: file.name, text }), text);
     });
+  }
+
+  // A file that would hold the handle deep inside an object is refused. If the same file is opened at once again, it is
+  // applied all the same.
+  async #open(method, params) {
+    const file = JSON.stringify([method, params]);
+    const force = this.#insisting === file;
+    this.#insisting = null;
+    try {
+      return await this.#app.link.call(method, { ...params, force });
+    } catch (error) {
+      if (error.code === HANDLE_INSIDE_CODE) {
+        this.#insisting = file;
+        error.message += "; to apply it all the same, open it once more";
+      }
+      throw error;
+    }
   }
 
   #took(found, text) {

@@ -7,6 +7,7 @@ import { at, canJoin, departures, isMap, joined, leaves, merged } from "./merge_
 import { parsePath, related } from "./problem_path.js";
 
 const INVALID_PARAMS_CODE = -32602;
+const HANDLE_INSIDE_CODE = -32011;
 const STALE_REVISION_CODE = -32001;
 const RING_FULL_CODE = -32005;
 const RETRY_MS = 100;
@@ -130,7 +131,7 @@ export class Changes extends EventTarget {
   }
 
   #refusal(target, error) {
-    if (error.code !== INVALID_PARAMS_CODE || !Array.isArray(error.data)) {
+    if (![INVALID_PARAMS_CODE, HANDLE_INSIDE_CODE].includes(error.code) || !Array.isArray(error.data)) {
       return new Refused(error.message, []);
     }
     const problems = error.data.map(({ where, problem }) => {
