@@ -277,7 +277,7 @@ def test_a_missing_extra_is_named_before_anything_is_recorded(
 
 @pytest.mark.parametrize(("ending", "package", "extra"), NEEDED)
 @pytest.mark.parametrize(
-    "command", ["record {}", "flight {}", "simulate fields -o {}", "export run.npz {}", "replay run.npz -o {}"]
+    "command", ["record {}", "record --past {}", "simulate fields -o {}", "export run.npz {}", "replay run.npz -o {}"]
 )
 def test_every_command_that_exports_names_a_missing_extra_in_one_line(
     tmp_path: Path,
