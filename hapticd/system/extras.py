@@ -27,7 +27,7 @@ def install_command(extras: str) -> str:
         names = ",".join(dict.fromkeys(f"{os.environ[IMAGE_EXTRAS_VARIABLE]},{extras}".strip(",").split(",")))
         return f"podman build -f packaging/Containerfile --build-arg EXTRAS={names} -t hapticd ."
     if prefix == DEBIAN_PREFIX:
-        pip = f"sudo python3 -m pip --python {DEBIAN_PREFIX}/bin/python3"
+        pip = f"sudo /usr/bin/python3 -m pip --python {DEBIAN_PREFIX}/bin/python3"
         return f"sudo apt install python3-pip && {pip} install {requirement}"
     if (prefix / "pipx_metadata.json").is_file():
         return f"pipx runpip {shlex.quote(prefix.name)} install {requirement}"

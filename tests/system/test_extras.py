@@ -44,7 +44,7 @@ def test_pipx_names_its_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: P
 
 def test_the_debian_package_uses_the_pip_of_debian(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "prefix", str(DEBIAN_PREFIX))
-    pip = "sudo python3 -m pip --python /usr/lib/hapticd/bin/python3"
+    pip = "sudo /usr/bin/python3 -m pip --python /usr/lib/hapticd/bin/python3"
     assert install_command("lsl") == f"sudo apt install python3-pip && {pip} install 'hapticd[lsl]'"
     rules = (ROOT / "packaging" / "debian" / "rules").read_text()
     assert "PRIVATE := $(PACKAGE)/usr/lib/hapticd\n" in rules
