@@ -19,8 +19,8 @@ def install_command(extras: str) -> str:
     """Return the shell command that adds `extras`, such as "fit" or "experiment,web", to this installation.
 
     pip keeps the installed hapticd, and adds only the packages that the extras need. An image is built again, with the
-    new extras beside the old ones.
-    """
+    pip keeps the installed hapticd, and adds only the packages that the extras need. An image is built again, with its
+    own extras and the new ones.
     requirement = shlex.quote(f"hapticd[{extras}]")
     prefix = Path(sys.prefix)
     if IMAGE_EXTRAS_VARIABLE in os.environ:
