@@ -30,7 +30,7 @@ def test_messages_and_pages_name_extras_that_exist() -> None:
         (extra, path.name)
         for folder, pattern in (("hapticd", "*.py"), ("docs", "*.md"))
         for path in (ROOT / folder).rglob(pattern)
-        for names in re.findall(r"hapticd\[([a-z,]+)\]", path.read_text())
+        for names in re.findall(r"(?:hapticd\[|install_command\(['\"])([a-z,]+)['\"\]]", path.read_text())
         for extra in names.split(",")
     }
     assert {extra for extra, _ in extras} == {"cluster", "experiment", "fit", "lsl", "mcap", "pandas", "web"}
