@@ -18,9 +18,9 @@ IMAGE_EXTRAS_VARIABLE: Final = "HAPTICD_IMAGE_EXTRAS"
 def install_command(extras: str) -> str:
     """Return the shell command that adds `extras`, such as "fit" or "experiment,web", to this installation.
 
-    pip keeps the installed hapticd, and adds only the packages that the extras need. An image is built again, with the
     pip keeps the installed hapticd, and adds only the packages that the extras need. An image is built again, with its
     own extras and the new ones.
+    """
     requirement = shlex.quote(f"hapticd[{extras}]")
     prefix = Path(sys.prefix)
     if IMAGE_EXTRAS_VARIABLE in os.environ:
