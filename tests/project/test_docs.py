@@ -41,6 +41,7 @@ PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglo
 README = (ROOT / "README.md").read_text()
 PROTOCOL = (ROOT / "docs" / "protocol.md").read_text()
 TELEMETRY = (ROOT / "docs" / "reference" / "telemetry.md").read_text()
+GESTURES = (ROOT / "docs" / "reference" / "gestures.md").read_text()
 EVENTS = (ROOT / "docs" / "reference" / "events.md").read_text()
 STATUS = (ROOT / "docs" / "reference" / "status.md").read_text()
 RECORDINGS = (ROOT / "docs" / "reference" / "recordings.md").read_text()
@@ -127,7 +128,7 @@ def test_the_keys_of_a_mode() -> None:
 @pytest.mark.parametrize("model", [TapGesture, StrokeGesture, PunctureGesture])
 def test_gestures(model: type[BaseModel]) -> None:
     documented: dict[str, dict[str, bool]] = {}
-    for row in tables(section(PROTOCOL, "### set_operator"))["gesture"]:
+    for row in tables(GESTURES)["gesture"]:
         if names(row[0]):
             (kind,) = names(row[0])
             documented[kind] = {}
