@@ -260,7 +260,7 @@ check: tools ## run lint, C tests under three sanitizers, make test-long, and th
 	@$(MAKE) --no-print-directory test-browser
 
 VERIFIED = warnings analyze msan rtsan jitter verify-model verify-loops verify-taps rtsan-daemon tsan-daemon verify-units wheel-test test-slow \
-	test-vm test-systemd test-pythons
+	test-vm test-systemd test-deb test-pythons
 
 .PHONY: verify
 verify: tools ## run everything that make check leaves out, or the part VERIFIED='...', before you close an issue about its checks: hours

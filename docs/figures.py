@@ -1,4 +1,4 @@
-"""Draws the workspace, a wall, the proxy and gestures for docs/images: `python -m docs.figures`.
+"""Draws the workspace, a wall, the proxy, gestures and the signal path for docs/images: `python -m docs.figures`.
 
 The curves of the gestures are computed by `hapticd.simulate`.
 """
@@ -184,10 +184,63 @@ def gestures() -> None:
     save(figure, "gestures")
 
 
+def box(axes: Axes, centre: Point, text: str, colour: str = INK) -> None:
+    """Draw a box 2 wide and 1 high with `text` in it."""
+    x, y = centre
+    axes.fill(
+        [x - 1, x + 1, x + 1, x - 1], [y - 0.5, y - 0.5, y + 0.5, y + 0.5], facecolor=SOLID, edgecolor=colour, lw=1.6
+    )
+    axes.text(x, y, text, ha="center", va="center", fontsize=9.5, linespacing=1.3)
+
+
+def signal_path() -> None:
+    """Draw the way from the position of the hand to the force on it."""
+    figure, axes = bare(10, 4.6, (-1.3, 12.9), (-4.0, 2.5))
+    measured: Sequence[tuple[Point, str]] = (
+        ((0, 1.5), "hand and\nhandle"),
+        ((2.9, 1.5), "encoder\nin steps"),
+        ((5.8, 1.5), "link\ndevice to host"),
+        ((8.7, 1.5), "estimator\nvelocity"),
+    )
+    parts: Sequence[tuple[Point, str]] = (
+        ((11.6, 1.5), "contact\nand fields"),
+        ((11.6, 0), "texture\ngrooves, noise"),
+        ((11.6, -1.5), "modes\ntaps, ruptures"),
+    )
+    ways: Sequence[tuple[Point, str]] = (
+        ((0, -3.2), "actuator"),
+        ((2.9, -3.2), "link\nhost to device"),
+        ((5.8, -3.2), "limits\nof force"),
+        ((8.7, -3.2), "sum (N)"),
+    )
+    axes.fill(
+        [4.6, 12.85, 12.85, 7.5, 7.5, 4.6], [-4, -4, 2.3, 2.3, -2.4, -2.4], facecolor="white", edgecolor=QUIET, lw=1
+    )
+    axes.text(7.65, -2.25, "one tick", color=QUIET, va="bottom")
+    for centre, text in measured:
+        box(axes, centre, text, TEAL)
+    for centre, text in (*parts, *ways):
+        box(axes, centre, text, ORANGE)
+    for x in (1, 3.9, 6.8, 9.7):
+        arrow(axes, (x, 1.5), (x + 0.85, 1.5), TEAL)
+    for x in (7.65, 4.75, 1.9):
+        arrow(axes, (x + 0.05, -3.2), (x - 0.85, -3.2), ORANGE)
+    for y in (1, -0.5):
+        arrow(axes, (11.6, y), (11.6, y - 0.5), TEAL)
+    for y in (1.2, 0, -1.5):
+        axes.plot([10.6, 10.15], [y, y], color=ORANGE, lw=2)
+    axes.plot([10.15, 10.15], [1.2, -3.2], color=ORANGE, lw=2)
+    arrow(axes, (10.15, -3.2), (9.7, -3.2), ORANGE)
+    arrow(axes, (0, -2.7), (0, 1), ORANGE)
+    axes.text(0.2, -0.9, "force on the hand (N)", color=ORANGE)
+    axes.text(1.9, 0.65, "position (m)", color=TEAL)
+    save(figure, "signal-path")
+
+
 def main() -> None:
     """Draw all figures."""
     with matplotlib.rc_context(STYLE):
-        for draw in (workspace, wall, proxy, gestures):
+        for draw in (workspace, wall, proxy, gestures, signal_path):
             draw()
 
 

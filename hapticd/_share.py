@@ -42,10 +42,11 @@ def write(folder: Path) -> list[str]:
 
 
 def _page_names(command: click.Command, path: str = "hapticd") -> Iterator[str]:
-    """Yield the file names of the man pages of a command and of its subcommands."""
+    """Yield the file names of the man pages of a command and of its subcommands, as click-man writes them."""
     yield f"{path}.1"
     for name, below in getattr(command, "commands", {}).items():
-        yield from _page_names(below, f"{path}-{name}")
+        if not below.hidden:
+            yield from _page_names(below, f"{path}-{name}")
 
 
 def _commands() -> click.Command:

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from hapticd.base.errors import HapticdError
+from hapticd.system.extras import install_command
 
 if TYPE_CHECKING:
     from matplotlib.axis import Axis
@@ -35,7 +36,7 @@ def require_matplotlib(what: str, extra: str) -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise HapticdError(f"{what} needs matplotlib: pip install 'hapticd[{extra}]'") from None
+        raise HapticdError(f"{what} needs matplotlib: {install_command(extra)}") from None
 
 
 def literal(text: str) -> str:

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
+from hapticd.system.extras import install_command
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -45,7 +46,7 @@ def require_scipy(what: str = "fitting recordings", extra: str = "fit") -> None:
     try:
         import scipy  # noqa: F401
     except ImportError:
-        raise HapticdError(f"{what} needs scipy: pip install 'hapticd[{extra}]'") from None
+        raise HapticdError(f"{what} needs scipy: {install_command(extra)}") from None
 
 
 @dataclass(frozen=True, slots=True)

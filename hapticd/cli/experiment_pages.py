@@ -11,6 +11,7 @@ import click
 
 from hapticd.base.errors import HapticdError
 from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
+from hapticd.system.extras import install_command
 
 if TYPE_CHECKING:
     from hapticd.config.configuration import Config
@@ -83,7 +84,7 @@ def run_on_pages(
     `place` has the daemon's paths; `simulated` says whether the daemon has the simulated joystick.
     """
     if importlib.util.find_spec("aiohttp") is None:
-        raise HapticdError("the pages of a session need aiohttp: pip install 'hapticd[experiment,web]'")
+        raise HapticdError(f"the pages of a session need aiohttp: {install_command('experiment,web')}")
     from hapticd.experiment.pages.pages_front import PagesFront
     from hapticd.experiment.pages.process import News, Options, run
 

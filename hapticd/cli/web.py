@@ -11,6 +11,7 @@ import click
 from hapticd.base.errors import HapticdError
 from hapticd.cli.common import configs_option, log_options
 from hapticd.cli.listening import Listening, demo_option, listening_options, refuse_another_daemon
+from hapticd.system.extras import install_command
 
 
 @click.command("web", short_help="Serve a page for the browser.")
@@ -47,7 +48,7 @@ def web_command(
     can reach requires --tls-cert, --tls-key and --password-file. Ctrl-C ends the command.
     """
     if importlib.util.find_spec("aiohttp") is None:
-        raise HapticdError("hapticd web needs aiohttp: pip install 'hapticd[web]'")
+        raise HapticdError(f"hapticd web needs aiohttp: {install_command('web')}")
     if set_password is not None:
         _set_password(set_password)
         return 0

@@ -26,6 +26,7 @@ from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.experiment.event_codes import TRIAL_NUMBER_OFFSET, EventCode, code_of
 from hapticd.protocol.places import has_ended, no_telemetry
 from hapticd.protocol.results import Status
+from hapticd.system.extras import install_command
 
 SAMPLES_OUTLET: Final = "hapticd samples"
 """Name of the LSL outlet of samples."""
@@ -88,7 +89,7 @@ def _pylsl() -> ModuleType:
     try:
         import pylsl
     except ImportError:
-        raise HapticdError("Lab Streaming Layer needs pylsl: pip install 'hapticd[lsl]'") from None
+        raise HapticdError(f"Lab Streaming Layer needs pylsl: {install_command('lsl')}") from None
     except RuntimeError:
         # The package of pylsl can come without the library.
         raise HapticdError(

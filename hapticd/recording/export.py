@@ -37,6 +37,7 @@ from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError, collapse_whitespace
 from hapticd.base.files import atomic_file, write_atomically
 from hapticd.recording.event_columns import COMMON_EVENT_MEMBERS, EVENT_MEMBER_SCHEMAS, cell_of
+from hapticd.system.extras import install_command
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -87,7 +88,7 @@ def files_of(target: Path) -> list[Path]:
     except (ImportError, ValueError) as error:  # numpy raises ValueError for a package built for another numpy
         extra = modules[0].partition(".")[0]
         broken = "" if isinstance(error, ModuleNotFoundError) else f" ({module}: {collapse_whitespace(str(error))})"
-        needs = f"needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
+        needs = f"needs the packages of the extra `{extra}`: {install_command(extra)}"
         raise HapticdError(f"{target}: {target.suffix} {needs}{broken}") from None
     endings = ("events.csv", "about.json") if "pandas" in modules else ()
     return [*(target.with_name(f"{target.stem}.{ending}") for ending in endings), target]
@@ -122,7 +123,7 @@ def frame_of(samples: Samples) -> DataFrame:
     try:
         import pandas
     except ImportError:
-        raise HapticdError("to_pandas needs pandas: pip install 'hapticd[pandas]'") from None
+        raise HapticdError(f"to_pandas needs pandas: {install_command('pandas')}") from None
     columns: dict[str, npt.NDArray[Any]] = {}
     for name in samples.dtype.names or ():
         values = samples[name]

@@ -14,6 +14,7 @@ from typing import Any, Final
 from hapticd.base.errors import HapticdError, collapse_whitespace
 from hapticd.sweeps.forked_workers import START_METHOD, start_fork_server
 from hapticd.sweeps.interrupts import deferred_interrupts
+from hapticd.system.extras import install_command
 
 SCHEDULER_TIMEOUT_S: Final = 10.0
 """Time in s within which a scheduler must answer."""
@@ -39,7 +40,7 @@ def require_dask() -> None:
     """Raise HapticdError (one line) if dask is missing."""
     # Dask is not imported here, since its import takes as long as the start of the fork server, which is started first.
     if importlib.util.find_spec("distributed") is None:
-        raise HapticdError("sweeps need dask: pip install 'hapticd[cluster]'")
+        raise HapticdError(f"sweeps need dask: {install_command('cluster')}")
 
 
 def processors() -> int:

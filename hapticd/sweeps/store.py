@@ -31,6 +31,7 @@ from hapticd.base.files import check_regular, write_atomically
 from hapticd.sweeps.columns import ERROR_COLUMN, POINT_COLUMN, Column, Row, Value
 from hapticd.sweeps.work import ID_DTYPE, Work
 from hapticd.sweeps.worker_check import code_version
+from hapticd.system.extras import install_command
 
 STUDY_FILE: Final = "study.json"
 """Name of the file with the study in a result folder."""
@@ -51,7 +52,7 @@ def require_pyarrow() -> None:
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
-        raise HapticdError("results of sweeps need pyarrow: pip install 'hapticd[cluster]'") from None
+        raise HapticdError(f"results of sweeps need pyarrow: {install_command('cluster')}") from None
 
 
 class Store:

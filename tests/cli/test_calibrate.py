@@ -18,6 +18,7 @@ from hapticd.config.configuration import load_config
 from hapticd.hid import sources
 from hapticd.hid.connection import Opened
 from hapticd.hid.drivers.pid import PidDriver
+from hapticd.system.extras import install_command
 from tests.support.cli import said
 from tests.support.hid_descriptors import Joystick
 from tests.support.hid_device import FakePid
@@ -79,7 +80,7 @@ def test_calibrate_without_an_optional_package(
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
     error = said(capsys, 1, "calibrate", "-c", "sim.yaml", *arguments)
-    assert error == f"hapticd: {what} needs {missing}: pip install 'hapticd[fit]'\n"
+    assert error == f"hapticd: {what} needs {missing}: {install_command('fit')}\n"
 
 
 @pytest.mark.parametrize(

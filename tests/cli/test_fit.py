@@ -28,6 +28,7 @@ from hapticd.config.texture import Autoregressive, Grooves
 from hapticd.fit.recording import Recording, load
 from hapticd.fit.report import Curve, Page, Panel, drawn, figure_rows, thinned
 from hapticd.fit.verdict import Exclusion, Verdict
+from hapticd.system.extras import install_command
 from tests.support.cli import said
 
 JUDGED = Verdict("fair", "one mode, well fitted <&>", ("the first tap is weak",))
@@ -403,7 +404,7 @@ def test_without_an_optional_package(
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
     message = said(capsys, 1, "fit", "tap", "a.csv", "--report", "x.html")
-    assert f"needs {missing}: pip install 'hapticd[fit]'" in message
+    assert f"needs {missing}: {install_command('fit')}" in message
 
 
 # ---- Reports ---------------------------------------------------------------------------------------------------------

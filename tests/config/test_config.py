@@ -23,7 +23,8 @@ from hapticd.config.operator import parse_operator
 from hapticd.config.scene import Scene, load_scene
 from hapticd.config.schema import config_schema, unit_of
 
-REFERENCE = pathlib.Path(__file__).parents[2] / "docs" / "materials.md"
+DOCS = pathlib.Path(__file__).parents[2] / "docs"
+REFERENCE = DOCS / "materials.md"
 
 Schema = dict[str, Json]
 
@@ -570,11 +571,12 @@ def test_units(key: str, unit: str | None) -> None:
     assert unit_of(key) == unit
 
 
-def test_the_example_of_the_reference_is_valid() -> None:
-    examples = re.findall(r"^```yaml\n(.*?)^```", REFERENCE.read_text(), re.M | re.S)
+@pytest.mark.parametrize("page", ["materials.md", "howto/materials.md"])
+def test_the_examples_of_materials_are_valid(page: str) -> None:
+    examples = re.findall(r"^```yaml\n(.*?)^```", (DOCS / page).read_text(), re.M | re.S)
     assert examples
     for example in examples:
-        data = load_text(example, "docs/materials.md").data
+        data = load_text(example, page).data
         assert isinstance(data, dict)
         load_config(data)
 

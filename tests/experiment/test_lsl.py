@@ -22,6 +22,7 @@ from hapticd.client.blocking import Client
 from hapticd.experiment.daemon_stage import DaemonStage
 from hapticd.experiment.lsl import SAMPLE_CHANNELS, streaming
 from hapticd.protocol.calls import DaemonNotRunning
+from hapticd.system.extras import install_command
 from tests.experiment.sessions import ScriptedFront, started
 from tests.support.cli import HAPTICD
 from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
@@ -263,7 +264,7 @@ def test_without_a_daemon_an_error_is_printed(tmp_path: Path, capsys: pytest.Cap
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("raised", "right"),
-    [("ImportError", "pip install 'hapticd[lsl]'"), ("RuntimeError", "github.com/sccn/liblsl/releases")],
+    [("ImportError", install_command("lsl")), ("RuntimeError", "github.com/sccn/liblsl/releases")],
 )
 def test_without_pylsl_or_its_library_it_names_what_to_install(
     raised: str, right: str, daemon: Daemon, tmp_path: Path

@@ -30,7 +30,7 @@ def test_messages_and_pages_name_extras_that_exist() -> None:
         (extra, path.name)
         for folder, pattern in (("hapticd", "*.py"), ("docs", "*.md"))
         for path in (ROOT / folder).rglob(pattern)
-        for names in re.findall(r"hapticd\[([a-z,]+)\]", path.read_text())
+        for names in re.findall(r"(?:hapticd\[|install_command\(['\"])([a-z,]+)['\"\]]", path.read_text())
         for extra in names.split(",")
     }
     assert {extra for extra, _ in extras} == {"cluster", "experiment", "fit", "lsl", "mcap", "pandas", "web"}
@@ -60,7 +60,7 @@ def page(share: Path, name: str) -> str:
 
 def test_every_command_has_a_page_with_its_help(share: Path) -> None:
     assert page_names() == {path.stem for path in (share / "man" / "man1").iterdir()}
-    for ctx in contexts():
+    for ctx in (ctx for ctx in contexts() if not ctx.command.hidden):
         shown = page(share, ctx.command_path.replace(" ", "-")).replace(r"\-", "-")
         for option in (each for each in ctx.command.params if isinstance(each, click.Option)):
             assert all(spelling in shown for spelling in option.opts), (ctx.command_path, option.opts)

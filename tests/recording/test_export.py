@@ -23,6 +23,7 @@ from hapticd.cli import main
 from hapticd.recording.export import files_of
 from hapticd.recording.recording import recording_into
 from hapticd.recording.writer import RecordingWriter
+from hapticd.system.extras import install_command
 from tests.recording.test_writer import EVENTS, MARKS, some
 from tests.support.special_files import KINDS, refused, special, untouched
 
@@ -271,13 +272,13 @@ def test_a_missing_extra_is_named_before_anything_is_recorded(
     with pytest.raises(HapticdError) as caught, recording_into(tmp_path / f"run.{ending}"):
         raise AssertionError("the block is not entered")
     needs = f"{tmp_path}/run.{ending}: .{ending} needs the packages of the extra `{extra}`"
-    assert str(caught.value) == f"{needs}: pip install 'hapticd[{extra}]'"
+    assert str(caught.value) == f"{needs}: {install_command(extra)}"
     assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize(("ending", "package", "extra"), NEEDED)
 @pytest.mark.parametrize(
-    "command", ["record {}", "flight {}", "simulate fields -o {}", "export run.npz {}", "replay run.npz -o {}"]
+    "command", ["record {}", "record --past {}", "simulate fields -o {}", "export run.npz {}", "replay run.npz -o {}"]
 )
 def test_every_command_that_exports_names_a_missing_extra_in_one_line(
     tmp_path: Path,
@@ -291,7 +292,7 @@ def test_every_command_that_exports_names_a_missing_extra_in_one_line(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, package, None)
     assert main(command.format(f"run.{ending}").split()) == 1
-    needs = f"run.{ending}: .{ending} needs the packages of the extra `{extra}`: pip install 'hapticd[{extra}]'"
+    needs = f"run.{ending}: .{ending} needs the packages of the extra `{extra}`: {install_command(extra)}"
     assert capsys.readouterr().err == f"hapticd: {needs}\n" and os.listdir(tmp_path) == []
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -18,6 +19,7 @@ from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.cli import main
 from hapticd.recording.writer import RecordingWriter
+from hapticd.system.extras import install_command
 from tests.support.cli import said
 
 CONFIG = Path(shipped.__path__[0])
@@ -112,7 +114,7 @@ def test_pandas(tmp_path: Path) -> None:
 def test_without_pandas_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = hapticd.load(write(tmp_path / "run.npz"))
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(HapticdError, match=r"^to_pandas needs pandas: pip install 'hapticd\[pandas\]'$"):
+    with pytest.raises(HapticdError, match=f"^to_pandas needs pandas: {re.escape(install_command('pandas'))}$"):
         recording.to_pandas()
 
 

@@ -630,9 +630,13 @@ def test_check_reports_faults_that_the_daemon_would_refuse(tmp_path: Path, capsy
 
 def test_check_of_a_joystick_that_nobody_knows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = {"device": {"kind": "hid", "hid": {"path": "/dev/nothing"}}, "scene": LINKED["scene"]}
-    assert main(["check", "-c", written(tmp_path, source)]) == 0
+    assert main(["check", "--offline", written(tmp_path, source)]) == 0
     out = capsys.readouterr().out
     assert "stability: not known: device.handle is not given" in out
+    absent = 'device.hid: no HID device with path "/dev/nothing" is connected'
+    assert absent not in out
+    assert main(["check", "-c", written(tmp_path, source)]) == 1
+    assert absent in capsys.readouterr().out
     assert main(["check", "-c", str(tmp_path / "none.yaml")]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 

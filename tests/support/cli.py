@@ -47,5 +47,5 @@ def contexts(ctx: click.Context | None = None) -> Iterator[click.Context]:
 
 
 def page_names() -> set[str]:
-    """The names of the commands' man pages."""
-    return {ctx.command_path.replace(" ", "-") for ctx in contexts()}
+    """The names of the man pages: of all commands that `--help` lists."""
+    return {ctx.command_path.replace(" ", "-") for ctx in contexts() if not ctx.command.hidden}

@@ -13,6 +13,7 @@ import yaml
 
 import hapticd
 from hapticd.cli import main
+from hapticd.system.extras import install_command
 from tests.sweeps.results_of import FLOOR
 from tests.sweeps.results_of import WALL as BASE
 
@@ -173,8 +174,8 @@ def test_rows_with_other_columns_are_not_reused(tmp_path: Path, capsys: pytest.C
 @pytest.mark.parametrize(
     ("missing", "message"),
     [
-        ("distributed", "sweeps need dask: pip install 'hapticd[cluster]'"),
-        ("pyarrow.parquet", "results of sweeps need pyarrow: pip install 'hapticd[cluster]'"),
+        ("distributed", f"sweeps need dask: {install_command('cluster')}"),
+        ("pyarrow.parquet", f"results of sweeps need pyarrow: {install_command('cluster')}"),
     ],
 )
 def test_a_missing_package_is_reported_in_one_line(

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from hapticd.cli import main
+from hapticd.system.extras import install_command
 from tests.support.special_files import KINDS, special, untouched
 from tests.sweeps.results_of import MASS, RATE, STIFFNESS, study_of
 
@@ -97,7 +98,7 @@ def test_without_matplotlib_one_line_says_what_is_missing(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     code, out, err = ran(capsys, folder, "--figures", str(tmp_path / "figures"))
-    assert (code, out) == (1, "") and err == "hapticd: a figure needs matplotlib: pip install 'hapticd[fit]'\n"
+    assert (code, out) == (1, "") and err == f"hapticd: a figure needs matplotlib: {install_command('fit')}\n"
     assert not (tmp_path / "figures").exists()
     code, out, _ = ran(capsys, folder)
     assert code == 0 and len(out.splitlines()) == 8

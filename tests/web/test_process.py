@@ -17,6 +17,7 @@ import aiohttp
 import pytest
 
 from hapticd.cli import main
+from hapticd.system.extras import install_command
 from tests.support.daemon_process import PATIENCE_S, running_daemon, until
 from tests.web.served import Tab, asked
 
@@ -167,7 +168,7 @@ def test_a_failed_start_is_reported_in_one_line(
     line = refusal(capfd, "web", "--demo", "-c", str(broken), "--port", "0")
     assert "the daemon of the demo did not start: " in line and "rate_hz" in line
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert refusal(capfd, "web") == "hapticd: hapticd web needs aiohttp: pip install 'hapticd[web]'\n"
+    assert refusal(capfd, "web") == f"hapticd: hapticd web needs aiohttp: {install_command('web')}\n"
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ from hapticd.base.csv_table import CsvTable, csv_table_of
 from hapticd.base.errors import HapticdError, known_names, quoted, short_name, shown_name
 from hapticd.base.units import Quantity, StatedUnit, stated_unit
 from hapticd.base.yaml_source import printable, read_file
+from hapticd.system.extras import install_command
 
 MAX_RECORDING_BYTES: Final = 2**29
 """Largest file of a recording, as the file is read into memory."""
@@ -112,7 +113,7 @@ def _csv_columns(table: CsvTable, indices: Sequence[int]) -> list[Floats]:
     try:
         import pandas
     except ImportError:
-        raise HapticdError("reading a .csv needs pandas: pip install 'hapticd[fit]'") from None
+        raise HapticdError(f"reading a .csv needs pandas: {install_command('fit')}") from None
 
     body = re.sub(r"(?m)^[ ,;\t]*(#.*)?$\n?", "", table.text.split("\n", table.first - 1)[-1])
     try:
