@@ -4,6 +4,7 @@
     journal         the log on stderr, and the events of the servo that it contains
     repeated_lines  rate limit for repeated lines of the log
     notify          notifications to systemd: ready, watchdog, reloading, stopping, status line
+    extras          the command that adds an extra to this installation
     service_files   `hapticd install-service`: adapts the units to this installation and runs systemd/install.sh
     trusted_files   reads files with keys or commands, and refuses them if other users may change them
     open_files      the limit of file descriptors, and how many connections it allows
