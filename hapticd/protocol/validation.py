@@ -15,7 +15,7 @@ from hapticd.base.steps import Steps
 from hapticd.config.materials import MAX_MATERIALS, Material, Materials, material_steps, shipped_materials
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, scene_steps, validate_object
 
-_PARTS: Final = ("tap", "rupture", "friction", "texture")
+_OPTIONAL_PARTS: Final = ("tap", "rupture", "friction", "texture")
 """Keys of the parts of a material that it may lack."""
 
 
@@ -97,7 +97,7 @@ def dropped_parts(given: Iterable[str], materials: Materials, before: Materials)
     """Return a warning for each replaced material without a part that the earlier material has, such as its tap."""
     problems = []
     for name in filter(before.__contains__, given):
-        lacking = [part for part in _PARTS if getattr(before[name], part) and not getattr(materials[name], part)]
+        lacking = [part for part in _OPTIONAL_PARTS if getattr(before[name], part) and not getattr(materials[name], part)]
         if lacking:
             text = f"no longer has the {wording.listed(lacking)} of the material that it replaces"
             problems.append(Problem(path_text(("materials", name)), text))
