@@ -72,7 +72,7 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str
 def _no_object(id: str, scene: Scene) -> str:
     """Return the problem of a patch of an object that does not exist."""
     if id in Scene.model_fields:
-        return "there is no object of this id: it is a key of the scene, which set_scene changes"
+        return "there is no object of this id: it is a key of the scene, which set_scene (`hapticd apply`) changes"
     known = known_names(id, scene.objects) if scene.objects else "the scene has no objects"
     return f"there is no object of this id, and a new one needs a kind; {known}"
 
@@ -97,7 +97,9 @@ def dropped_parts(given: Iterable[str], materials: Materials, before: Materials)
     """Return a warning for each replaced material without a part that the earlier material has, such as its tap."""
     problems = []
     for name in filter(before.__contains__, given):
-        lacking = [part for part in _OPTIONAL_PARTS if getattr(before[name], part) and not getattr(materials[name], part)]
+        lacking = [
+            part for part in _OPTIONAL_PARTS if getattr(before[name], part) and not getattr(materials[name], part)
+        ]
         if lacking:
             text = f"no longer has the {wording.listed(lacking)} of the material that it replaces"
             problems.append(Problem(path_text(("materials", name)), text))
