@@ -18,8 +18,10 @@ from hapticd.experiment.study import load_study
 from hapticd.fit.recording import load as load_recording
 from tests.support.page_blocks import HOLDS_A_TERMINAL, ROOT, Block, Reader, blocks, told
 
-LESSONS = [ROOT / "docs" / "tutorial" / f"{name}.md"
-           for name in ("install", "first_wall", "first_recording", "own_material", "cork", "first_experiment")]  # fmt: skip
+LESSONS = [
+    ROOT / "docs" / "tutorial" / f"{name}.md"
+    for name in ("install", "first_wall", "first_recording", "own_material", "cork", "first_experiment")
+]
 PAGES = [page for page in sorted((ROOT / "docs").rglob("*.md")) if page not in LESSONS]
 BLOCKS = [block for page in (*LESSONS, *PAGES) for block in blocks(page)]
 PREPARED = {
