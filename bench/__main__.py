@@ -69,7 +69,7 @@ MEASUREMENTS: dict[str, Measurement] = {
     "web": Measurement("cost of the page's server", web.run, SPEED),
     "browser": Measurement("the page in a browser: frames, latency of force, picture and sound", browser.run, SPEED),
     "resources": Measurement("start, memory, processor time", resources.run, SPEED),
-    "link": Measurement("links of 1000, 500 and 250 Hz: stability, and error of each material", link.run, DEVICES),
+    "link": Measurement("links of 1000 to 125 Hz: stability, and error of each material", link.run, DEVICES),
 }
 
 

@@ -18,11 +18,12 @@ from hapticd.base.core import EventKind, ffi, lib, pointer
 from hapticd.config.configuration import Sim, load_config
 from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
+from hapticd.rendering.displayability import DISPLAYABLE_RATE_FRACTION
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import Run, simulate_run
 
 RATE_HZ = 10_000.0
-LINKS_HZ: tuple[float | None, ...] = (None, 1000.0, 500.0, 250.0)
+LINKS_HZ: tuple[float | None, ...] = (None, 1000.0, 500.0, 250.0, 125.0)
 WORST_MOTION_M = 100e-6
 """A handle is at rest if its motion a second after that of the hand is at most five encoder steps, peak to peak."""
 TOP_N_PER_M = 1e5
@@ -39,6 +40,7 @@ SHOWN_MATERIALS = (
     *("comb_2400um_vibration", "comb_2400um_geometry", "comb_2400um_damping", "sticky"),
     *("sandpaper_60", "sandpaper_100", "sandpaper_400", "sandpaper_600"),
 )
+SILENT = "silent"
 BEGIN, END = "<!-- Written by `python -m bench link`. -->\n", "<!-- To here. -->\n"
 
 
@@ -87,7 +89,8 @@ def _rounded(value: float) -> str:
     return f"{float(f'{value:.3g}'):.0f}"
 
 
-def _stability(advance: Advance) -> Table:
+def _displayed(materials: Table, advance: Advance) -> Table:
+    """Return what each link displays; `materials` names what is silent behind it."""
     sim = Sim()
     damping = sim.handle_damping_n_s_per_m + sim.hand.damping_n_s_per_m
     library = max(material.stiffness_n_per_m for material in shipped_materials().values())
@@ -96,14 +99,28 @@ def _stability(advance: Advance) -> Table:
         found = stiffest(link_hz)
         # A force acts two frames after its position was measured, and is held for one frame: half a frame on average.
         age_s = 0.5 / RATE_HZ if link_hz is None else 2.5 / link_hz
-        bound = damping / age_s
+        highest_hz = DISPLAYABLE_RATE_FRACTION * (RATE_HZ if link_hz is None else link_hz)
         stable = "yes" if found > library else "**no**"
         measured = f"{_rounded(found)}{' or more' if found == TOP_N_PER_M else ''}"
-        rows.append([_name(link_hz), f"{1e3 * age_s:g}", measured, _rounded(bound), stable])
-        advance(0.3 * (index + 1) / len(LINKS_HZ), f"walls, link {_name(link_hz)}")
+        silent = ", ".join(row[0] for row in materials.rows if row[2 + index] == SILENT) or "none"
+        rows.append(
+            [
+                _name(link_hz),
+                f"{1e3 * age_s:g}",
+                measured,
+                _rounded(damping / age_s),
+                stable,
+                f"{highest_hz:.0f}",
+                silent,
+            ]
+        )
+        advance(0.7 + 0.3 * (index + 1) / len(LINKS_HZ), f"walls, link {_name(link_hz)}")
     return Table(
-        "The stiffest wall without a limit cycle, N/m",
-        ["link", "mean age of a force, ms", "measured", "damping over age", f"library's {library:.0f} N/m is stable"],
+        "What a link displays: walls in N/m, modes in Hz",
+        [
+            *("link", "mean age of a force, ms", "stiffest wall without a limit cycle", "damping over age"),
+            *(f"library's {library:.0f} N/m is stable", "highest mode", "silent materials"),
+        ],
         rows,
     )
 
@@ -238,7 +255,7 @@ def stroked_error(name: str, link_hz: float) -> tuple[float, float] | None:
 
 
 def _cell(found: tuple[float, float] | None) -> str:
-    return "silent" if found is None else f"{100 * found[1]:.2g} %, {1e3 * found[0]:.2g} ms"
+    return SILENT if found is None else f"{100 * found[1]:.2g} %, {1e3 * found[0]:.2g} ms"
 
 
 def _materials(advance: Advance) -> Table:
@@ -253,7 +270,7 @@ def _materials(advance: Advance) -> Table:
             else:
                 cells.append("reference" if link_hz is None else _cell(stroked_error(name, link_hz)))
         rows.append([name, _frequency(material), *cells])
-        advance(0.3 + 0.7 * (index + 1) / len(SHOWN_MATERIALS), name)
+        advance(0.7 * (index + 1) / len(SHOWN_MATERIALS), name)
     return Table(
         "Error of the actuator's force, and its delay",
         ["material", "Hz", *(f"link {_name(link_hz)}" for link_hz in LINKS_HZ)],
@@ -279,6 +296,7 @@ def _frequency(material: Material) -> str:
 def run(options: Options, advance: Advance) -> Section:
     """Return the section with stability and materials; a quick run computes the same."""
     sim = Sim()
+    materials = _materials(advance)
     return Section(
         "Links",
         [
@@ -290,7 +308,7 @@ def run(options: Options, advance: Advance) -> Section:
             f"{1e6 * sim.encoder_step_m:g} um) onto a wall and holds it; a second later the handle must move by less "
             f"than {1e6 * WORST_MOTION_M:g} um. A late force acts as negative damping: stiffness times the force's "
             "age. If that exceeds the damping of hand and handle, to which dry friction adds, the wall buzzes.",
-            _stability(advance),
+            _displayed(materials, advance),
             f"Materials: a hand that no force deflects taps, punctures ({TAP_M_PER_S:g} m/s) and strokes "
             f"({STROKE_M_PER_S:g} m/s, 1 N). The table shows the error of the actuator's force, and its delay. The "
             "reference is the closed form of the library (taps and puncture), or the changes of force in the same "
@@ -298,7 +316,7 @@ def run(options: Options, advance: Advance) -> Section:
             "delay is removed; the worst of several onsets within a frame. Much of it is the staircase of held forces, "
             "which the mass of a handle smooths. Above 0.4 of the link's rate a mode is silent "
             "(`undisplayable: mute`).",
-            _materials(advance),
+            materials,
         ],
     )
 

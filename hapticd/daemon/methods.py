@@ -118,7 +118,10 @@ FIRST_STATE_TIMEOUT_S: Final = 1.0
 """Time that `get_state` waits for the first tick; other requests wait too."""
 _FIRST_STATE_POLL_S: Final = 0.001
 """Interval in which `get_state` polls for the first tick."""
-_MOVE_OR_FORCE: Final = "; nothing was changed: move the object or the handle, turn forces off, or repeat the change with force: true (--force)"
+_MOVE_OR_FORCE: Final = (
+    "; nothing was changed: move the object or the handle, turn forces off, or repeat the change with force: true "
+    "(--force)"
+)
 """End of a problem with an object that would hold the handle deep inside."""
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 

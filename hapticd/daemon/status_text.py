@@ -105,6 +105,7 @@ def _streams(streams: Mapping[Literal["target", "force"], StreamStatus]) -> Iter
     for kind, counted in streams.items():
         if counted["received"]:
             came = f"{wording.count(counted['received'], 'message')} received, {counted['used']:,} used"
+            came += f", {counted['limited']:,} limited" if counted["limited"] else ""
             timed_out = wording.count(counted["timeouts"], "time")
             yield f"{kind} stream", f"{'active' if counted['active'] else 'ended'}: {came}; timed out {timed_out}"
 

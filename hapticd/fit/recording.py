@@ -50,7 +50,7 @@ Kind: TypeAlias = Literal["tap", "grooves", "texture", "puncture"]
 Rate: TypeAlias = Annotated[float, Field(ge=MIN_RECORDING_RATE_HZ, le=MAX_RECORDING_RATE_HZ)]
 
 
-_MEASURED: Final[tuple[Quantity, ...]] = ("acceleration", "force", "position", "tangential_position")
+_MEASURED_QUANTITIES: Final[tuple[Quantity, ...]] = ("acceleration", "force", "position", "tangential_position")
 """Quantities of which a recording has at least one."""
 
 
@@ -264,10 +264,10 @@ def _quantities(
     unfit = [name for name in COLUMN_OF.values() if name in table.others] if not sidecar.columns else []
     if unfit:
         raise ValueError(f"{unfit[0]} {table.others[unfit[0]]}: name other columns in {where}")
-    if not set(wanted) & set(_MEASURED):
+    if not set(wanted) & set(_MEASURED_QUANTITIES):
         if sidecar.columns:
             raise ValueError(f"{where}: columns has neither acceleration nor force nor position")
-        known = ", ".join(COLUMN_OF[quantity] for quantity in _MEASURED)
+        known = ", ".join(COLUMN_OF[quantity] for quantity in _MEASURED_QUANTITIES)
         has = known_names("", map(short_name, [*table.names, *table.others])).removeprefix("known: ")
         raise _UnknownColumnsError(
             f"none of the columns {known}; the file has {has}: name the columns in {where}, such as "
