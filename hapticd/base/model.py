@@ -304,8 +304,9 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
     if kind == "union_tag_invalid":
         text, value = f"should be one of {context['expected_tags']}", context["tag"]
     key = next((part for part in reversed(path) if isinstance(part, str)), "")
-    if kind in ("less_than_equal", "greater_than_equal") and key.endswith("_m") and abs(value) > 1.0:
-        return path, f"{text}, is {shown(value)} m; if it is in mm, write {value / 1e3:g}"
+    is_length = key.endswith("_m") and not key.endswith("_per_m")
+    if kind == "less_than_equal" and is_length and value / 1e3 <= context["le"]:
+        return path, f"{text}, is {shown(value)}; if it is in mm, write {value / 1e3:g}"
     return path, text if kind in _KINDS_WITHOUT_VALUE else f"{text}, is {shown(value)}{_advice(value)}"
 
 

@@ -97,10 +97,11 @@ def record_command(
         note(found)
     motion = None if operator is None else file_of(operator, "operators")
     end_s: float | None = None
+    completed = True
     with daemon() as client, stopped_by_signals() as stop, status_line() as show:
 
         def progress(recorded_s: float) -> None:
-            nonlocal end_s
+            nonlocal end_s, completed
             show(f"recording, {recorded_s:.1f} s")
             if motion is None or recorded_s == 0:
                 return
@@ -108,11 +109,14 @@ def record_command(
                 end_s = recorded_s + client.set_operator(motion)["duration_s"]
             elif recorded_s >= end_s:
                 with suppress(TimedOut):
-                    client.wait_gesture(0.0)
+                    completed = client.wait_gesture(0.0)["completed"]
                     stop.set()
 
         recording = record(client, file, duration_s, overwrite=overwrite, notes=notes, stop=stop, progress=progress)
     print_result(asdict(recording), as_json, recording.summary())
+    if not completed:
+        note("another motion replaced that of --operator")
+        return 1
     early = ended_early(recording.ended_because)
     if early is not None:
         note(f"{early}; {recording.file} has everything before that")
@@ -227,7 +231,9 @@ def simulate_command(
     given = [file_of(file, "scenes") for file in (*configs, *files)]
     if not given:
         raise click.UsageError("Missing argument 'FILE...': a scene, or the name of a shipped scene")
-    operator = operator or next((each.operator for each in shipped_scenes() if each.file in given), None)
+    if operator is None:
+        operator_of = {scene.file: scene.operator for scene in shipped_scenes()}
+        operator = next(filter(None, map(operator_of.get, reversed(given))), None)
     if operator is None:
         if "/dev/stdin" not in given:
             configuration(given)  # a fault of the scene is reported first

@@ -93,14 +93,14 @@ def refuse_other_kinds(document: Document, *accepted: Kind) -> None:
     A document of unknown kind is accepted; its reader checks the keys. Raises InvalidError also if keys of a scene are
     next to `materials`, `scene` or keys of a configuration.
     """
+    kind = kind_of(document.data)
     keys = document.data.keys() if isinstance(document.data, dict) else set()
-    if not keys.isdisjoint(("materials", "scene", *CONFIGURATION_KEYS)):
+    if kind not in ("objects", "bare materials") and not keys.isdisjoint(("materials", "scene", *CONFIGURATION_KEYS)):
         misplaced = [
             Problem(document.where((key,)), "belongs below the key `scene`") for key in SCENE_KEYS if key in keys
         ]
         if misplaced:
             raise InvalidError(misplaced)
-    kind = kind_of(document.data)
     if kind is not None and kind not in accepted:
         raise _for_another_command(document, kind)
 

@@ -289,11 +289,11 @@ class Methods:
             problems = self._problems_of(new)
             if problems:
                 raise InvalidError(problems)
-            placed = self._placement_warnings(new)
-            yield
             reports = yield from engine.prepared(new.objects.values(), new.materials, new.sent)
+        handle_m = self._handle_m()
+        placed = self._placement_warnings(new, handle_m)
         if not (isinstance(params, SceneChangeParams) and params.force):
-            self._refuse_to_hold(new)
+            self._refuse_to_hold(new, handle_m)
         revision = engine.take(new.scene, new.materials, new.changed, params.expect_revision)
         shown = change_warnings(new.objects, new.sent, reports, new.root, engine.played())
         warnings = [*new.dropped, *placed, *shown]
@@ -304,26 +304,25 @@ class Methods:
         newest = None if self._read_state is None else self._read_state()
         return self._engine.reach.rest_m if newest is None else cast(Point, newest["position_m"])
 
-    def _placement_warnings(self, new: _Proposed) -> list[Problem]:
-        """Return at most MAX_FAULTS warnings of where the objects of a change lie."""
-        if not new.objects:
+    def _placement_warnings(self, new: _Proposed, handle_m: Point) -> list[Problem]:
+        """Return at most MAX_FAULTS warnings of where the objects of a change lie, or those of a changed material."""
+        objects, root = new.objects, new.root
+        if not objects and new.sent:
+            sent = frozenset(new.sent)
+            objects = {id: item for id, item in new.scene.objects.items() if not sent.isdisjoint(material_names(item))}
+            root = ("scene", "objects")
+        if not objects:
             return []
-        placed = placement_warnings(
-            new.scene,
-            new.materials,
-            self._engine.reach,
-            objects=new.objects,
-            root=new.root,
-            handle_m=self._handle_m(),
-        )
+        reach = self._engine.reach
+        placed = placement_warnings(new.scene, new.materials, reach, objects=objects, root=root, handle_m=handle_m)
         return list(islice(placed, MAX_FAULTS))
 
-    def _refuse_to_hold(self, new: _Proposed) -> None:
+    def _refuse_to_hold(self, new: _Proposed, handle_m: Point) -> None:
         """Raise MethodError if forces are on, and a new or moved object would hold the handle deep inside."""
         engine, counters, before = self._engine, self._engine.counters(), self._engine.scene
         if not new.objects or not new.scene.display.force or not counters.forces_on or counters.latched:
             return
-        handle_m, known = self._handle_m(), before.objects if before.display.force else {}
+        known = before.objects if before.display.force else {}
         problems = [
             Problem(
                 path_text((*new.root, id)),

@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.core import EventKind
-from hapticd.base.yaml_source import load_path
-from hapticd.config.configuration import Config, load_config
-from hapticd.config.document_kinds import refuse_other_kinds
+from hapticd.config.configuration import Config, config_of_documents, load_all
+from hapticd.config.document_kinds import kind_of, refuse_other_kinds
 from hapticd.protocol.events import event_map
 from hapticd.recording.recording import recording_into
 from hapticd.recording.writer import RecordingWriter, Samples
@@ -80,7 +79,8 @@ def write_run(
 
 
 def configuration(paths: Sequence[str]) -> Config:
-    """Load a configuration from files, as load_config does. Raises InvalidError also for a single file of materials."""
-    if len(paths) == 1:
-        refuse_other_kinds(load_path(paths[0]), "configuration", "change", "scene", "bare scene")
-    return load_config(paths)
+    """Load a configuration from files, as load_config does. Raises InvalidError also if no file has a scene."""
+    documents = load_all(paths)
+    if all(kind_of(document.data) == "materials" for document in documents):
+        refuse_other_kinds(documents[0], "configuration", "change", "scene", "bare scene")
+    return config_of_documents(documents)

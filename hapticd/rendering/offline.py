@@ -11,6 +11,7 @@ import os
 import warnings as python_warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -428,7 +429,13 @@ def render_run(
             found,
         ),
     )
-    return scene.run_of(samples, events, None, far_positions(positions, Reach.of(scene.config), "position_m"))
+    reach = Reach.of(scene.config)
+    placed = far_positions(positions, reach, "position_m")
+    if count and not placed:
+        start_m = (float(positions[0, 0]), float(positions[0, 1]))
+        near = placement_warnings(scene.config.scene, scene.config.materials, reach._replace(rest_m=start_m))
+        placed = list(islice(near, MAX_FAULTS))
+    return scene.run_of(samples, events, None, placed)
 
 
 def simulate(

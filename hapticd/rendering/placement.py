@@ -25,6 +25,9 @@ Point: TypeAlias = tuple[float, float]
 
 MOTION_SHARE: Final = 0.25
 """A kept object that comes nearer by no more than this part of the half travel has moved; farther, it was put there."""
+SPRING_FORCE_RATIO: Final = 2.0
+"""A spring holds the handle if it asks for more than this multiple of the largest force: springs that guide ask for it
+now and then."""
 FAR_SHARE: Final = 10.0
 """Positions farther from the middle than this multiple of the half travel are reported as implausible."""
 _ROUNDING_ERROR_M: Final = 1e-9
@@ -72,7 +75,8 @@ def holding(
     """Yield the ids of the objects that hold a handle at a point deep inside."""
     for id, item in objects.items():
         depth = depth_m(item, at_m)
-        if depth > 0.0 and _stiffness_at(item, materials, at_m) * depth > reach.max_force_n:
+        limit_n = reach.max_force_n * (SPRING_FORCE_RATIO if item.kind == "spring" else 1.0)
+        if depth > 0.0 and _stiffness_at(item, materials, at_m) * depth > limit_n:
             yield id
 
 
@@ -112,6 +116,12 @@ def unreachable_problem(item: SceneObject, reach: Reach) -> str | None:
     )
 
 
+def _force_problem(item: SceneObject, reach: Reach) -> str | None:
+    if item.kind != "constant" or math.hypot(*item.force_n) <= reach.max_force_n:
+        return None
+    return f"asks for {math.hypot(*item.force_n):.4g} N, and the device exerts at most {reach.max_force_n:g} N"
+
+
 def placement_warnings(
     scene: Scene,
     materials: Mapping[str, Material],
@@ -132,7 +142,7 @@ def placement_warnings(
     for id, item in objects.items():
         place: Path = ()
         problem = held_problem(item, materials, reach, at_m, handle) if id in held else None
-        problem = problem or unreachable_problem(item, reach)
+        problem = problem or unreachable_problem(item, reach) or _force_problem(item, reach)
         if problem is None and (found := field_problem(item)) is not None:
             place, problem = (found[0],), found[1]
         if problem is not None:
@@ -208,7 +218,7 @@ def _in_mm(item: SceneObject, reach: Reach) -> str:
     if item.kind == "viscous" or item.kind == "constant":
         return ""
     key, point_m = ("point_m", item.point_m) if item.kind == "wall" else ("center_m", item.center_m)
-    if not reach.half_travel_m < max(map(abs, point_m)) <= reach.half_travel_m / _M_PER_MM:
+    if not FAR_SHARE * reach.half_travel_m < max(map(abs, point_m)) <= reach.half_travel_m / _M_PER_MM:
         return ""
     x, y = (_M_PER_MM * each for each in point_m)
     return f"; if {key} is in mm, write [{x:.4g}, {y:.4g}]"

@@ -59,7 +59,7 @@ STIFFNESS_RANGE: Final = Range("stiffness", MIN_STIFFNESS_N_PER_M, MAX_STIFFNESS
 DAMPING_RANGE: Final = Range("damping", 0.0, 200.0, "N s/m", "mN s/m", 1e-3)
 # A frequency that is too high is silent or lowered, and reported as such (displayability.py).
 FREQUENCY_RANGE: Final = Range("frequency", MIN_FREQUENCY_HZ, math.inf, "Hz", "kHz", 1e3)
-DECAY_TIME_RANGE: Final = Range("decay time", 3e-5, 0.25, "s", "ms", 1e-3)
+DECAY_TIME_RANGE: Final = Range("decay time", 3e-5, 2.0, "s", "ms", 1e-3)
 SPACING_RANGE: Final = Range("groove spacing", 2e-5, 0.1, "m", "mm", 1e-3)
 GROOVE_DEPTH_RANGE: Final = Range("groove depth", 1e-6, 0.01, "m", "mm", 1e-3)
 RUPTURE_DEPTH_RANGE: Final = Range("rupture depth", 1e-5, 0.1, "m", "mm", 1e-3)

@@ -99,10 +99,15 @@ def test_problems_come_first_with_their_remedies() -> None:
 
 
 def test_the_status_counts_the_messages_of_streams() -> None:
-    streams = {"target": {"received": 0}, "force": {"received": 300, "used": 222, "timeouts": 12, "active": False}}
+    streams = {
+        "target": {"received": 0},
+        "force": {"received": 300, "used": 222, "limited": 0, "timeouts": 12, "active": False},
+    }
     shown = dict(lines(status(streams=streams)))
     assert shown["force stream"] == "ended: 300 messages received, 222 used; timed out 12 times"
     assert "target stream" not in shown
+    streams["force"]["limited"] = 7
+    assert "222 used, 7 limited; timed out" in dict(lines(status(streams=streams)))["force stream"]
 
 
 POWERLESS = 1 << (HidMeaning.POWER - 1)

@@ -7,6 +7,7 @@ import { fileName, save } from "./scope/export.js";
 
 const MAX_FILE_BYTES = 1_900_000; // largest file: a message to hapticd web has at most 2 MiB
 const HANDLE_INSIDE_CODE = -32011; // an object of the file would hold the handle deep inside
+const INSISTING_MS = 10_000; // within this time the same file is opened with force
 const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
 
 export function mount(app, panel) {
@@ -17,7 +18,7 @@ class FilesPanel {
   #app;
   #opened = null; // {name, text, others}: the file into which changes are saved
   #shipped = null;
-  #insisting = null; // the file that is opened with force if it is opened once more
+  #insisting = null; // {file, until_ms}: the file that is opened with force if it is opened once more until then
 
   constructor(app, panel) {
     this.#app = app;
@@ -182,13 +183,13 @@ class FilesPanel {
   // applied all the same.
   async #open(method, params) {
     const file = JSON.stringify([method, params]);
-    const force = this.#insisting === file;
+    const force = this.#insisting?.file === file && performance.now() < this.#insisting.until_ms;
     this.#insisting = null;
     try {
       return await this.#app.link.call(method, { ...params, force });
     } catch (error) {
       if (error.code === HANDLE_INSIDE_CODE) {
-        this.#insisting = file;
+        this.#insisting = { file, until_ms: performance.now() + INSISTING_MS };
         error.message += "; to apply it all the same, open it once more";
       }
       throw error;
