@@ -34,8 +34,8 @@
  *   scene_view/arrange.js, grips.js            its name, and how it is moved
  *   editor/placement.js, words.js, try_it.js   how it is created and tried out
  *
- * Documents: docs/materials.md, protocol.md, stability.md and glossary.md list the shapes, and `make docs-tables`
- * writes their tables of keys. Tests: tests/c/test_index.c has its distance from the definition. */
+ * Documents: docs/materials.md, protocol.md, reference/gestures.md, stability.md and glossary.md list the shapes, and
+ * `make docs-tables` writes their tables of keys. Tests: tests/c/test_index.c has its distance from the definition. */
 #ifndef HD_SHAPE_H
 #define HD_SHAPE_H
 

@@ -14,7 +14,7 @@ from hapticd.base.errors import HapticdError, InvalidError, Problem, path_text
 from hapticd.base.lattice import reflection_of
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Material
-from hapticd.config.scene import Disc
+from hapticd.config.scene import Disc, Scene
 from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.config.waveform import Waveform
 from hapticd.hid.discovery import choose, find
@@ -155,11 +155,20 @@ def check(config: Config, *, offline: bool = True) -> Report:
         warnings=tuple(found_warnings),
         notes=(
             *device.notes,
+            *_hidden_parts(scene),
             *_weak_discs(config),
             *_imperfect_fits(shown),
             *preload_notes(shown, output, NOTED_TAP_SPEED_M_PER_S),
         ),
     )
+
+
+def _hidden_parts(scene: Scene) -> Iterator[Problem]:
+    """Yield a note for each kind of force that the scene does not display."""
+    if not scene.display.force:
+        yield Problem("scene.display.force", "false: contacts and fields exert no force")
+    if not scene.display.vibration:
+        yield Problem("scene.display.vibration", "false: taps and textures do not vibrate")
 
 
 def _weak_discs(config: Config) -> Iterator[Problem]:

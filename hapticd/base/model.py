@@ -303,6 +303,9 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
     text = _REPLACED_MESSAGES.get(kind, details["msg"].removeprefix("Input ").replace("Tuple", "List"))
     if kind == "union_tag_invalid":
         text, value = f"should be one of {context['expected_tags']}", context["tag"]
+    key = next((part for part in reversed(path) if isinstance(part, str)), "")
+    if kind in ("less_than_equal", "greater_than_equal") and key.endswith("_m") and abs(value) > 1.0:
+        return path, f"{text}, is {shown(value)} m; if it is in mm, write {value / 1e3:g}"
     return path, text if kind in _KINDS_WITHOUT_VALUE else f"{text}, is {shown(value)}{_advice(value)}"
 
 

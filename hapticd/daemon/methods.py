@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import islice
@@ -67,7 +67,13 @@ from hapticd.protocol.displayability_warnings import above_rate, change_warnings
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
 from hapticd.protocol.messages import Code, decode_trusted
-from hapticd.protocol.validation import further_faults, patched_materials, patched_objects, replaced_materials
+from hapticd.protocol.validation import (
+    dropped_parts,
+    further_faults,
+    patched_materials,
+    patched_objects,
+    replaced_materials,
+)
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
 from hapticd.rendering.placement import Point, held_problem, holding, is_put_there, placement_warnings
@@ -90,6 +96,8 @@ class _Proposed(NamedTuple):
     """Names of the materials that the request contains."""
     changed: Collection[str] | None = ()
     """Ids of the objects that may differ or are removed; None: all objects must be compared."""
+    dropped: Sequence[Problem] = ()
+    """Warnings of parts that replaced materials no longer have."""
 
 
 class _Changed(NamedTuple):
@@ -111,7 +119,8 @@ FIRST_STATE_TIMEOUT_S: Final = 1.0
 _FIRST_STATE_POLL_S: Final = 0.001
 """Interval in which `get_state` polls for the first tick."""
 _MOVE_OR_FORCE: Final = (
-    "; nothing was changed: move the object or the handle, turn forces off, or repeat the change with force"
+    "; nothing was changed: move the object or the handle, turn forces off, or repeat the change with force: true "
+    "(--force)"
 )
 """End of a problem with an object that would hold the handle deep inside."""
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
@@ -286,7 +295,8 @@ class Methods:
         if not (isinstance(params, SceneChangeParams) and params.force):
             self._refuse_to_hold(new)
         revision = engine.take(new.scene, new.materials, new.changed, params.expect_revision)
-        warnings = placed + change_warnings(new.objects, new.sent, reports, new.root, engine.played())
+        shown = change_warnings(new.objects, new.sent, reports, new.root, engine.played())
+        warnings = [*new.dropped, *placed, *shown]
         return _Changed(revision, params.wait, warnings[:MAX_FAULTS], engine.margins(touched=True))
 
     def _handle_m(self) -> Point:
@@ -366,7 +376,10 @@ class Methods:
     def _set_materials(self, params: SetMaterialsParams) -> Steps[_Changed]:
         engine = self._engine
         materials = yield from replaced_materials(params.materials, engine.materials)
-        return (yield from self._take(params, _Proposed(engine.scene, materials, sent=params.materials)))
+        dropped = dropped_parts(params.materials, materials, engine.materials)
+        return (
+            yield from self._take(params, _Proposed(engine.scene, materials, sent=params.materials, dropped=dropped))
+        )
 
     def _update_materials(self, params: UpdateMaterialsParams) -> Steps[_Changed]:
         engine = self._engine
@@ -391,7 +404,9 @@ class Methods:
         new = _Proposed(engine.scene, engine.materials, sent=params.materials or ())
         if params.materials is not None:
             try:
-                new = new._replace(materials=(yield from replaced_materials(params.materials, engine.materials)))
+                materials = yield from replaced_materials(params.materials, engine.materials)
+                dropped = dropped_parts(params.materials, materials, engine.materials)
+                new = new._replace(materials=materials, dropped=dropped)
             except InvalidError as error:
                 problems += error.problems
         if has_scene:

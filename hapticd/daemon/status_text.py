@@ -85,7 +85,7 @@ def _forces(status: Status) -> Iterator[Line]:
         signs = _signs(status)
         why = "the device exerts none" if signs.get("problem") == "idle" else "the signs of the device are checked"
         on = f"on, but held back while {why}" if signs.get("state") in ("checking", "waiting") else status["forces"]
-        yield "forces", "off: `hapticd force on` turns them on" if off else on
+        yield "forces", "off, by a command or since the start: `hapticd force on` turns them on" if off else on
         return
     reasons = [FAULT_REASONS.get(name, name.replace("_", " ")) for name in status["faults"]]
     yield "forces", f"off by a fault: {wording.listed(reasons)}"
@@ -105,6 +105,7 @@ def _streams(streams: Mapping[Literal["target", "force"], StreamStatus]) -> Iter
     for kind, counted in streams.items():
         if counted["received"]:
             came = f"{wording.count(counted['received'], 'message')} received, {counted['used']:,} used"
+            came += f", {counted['limited']:,} limited" if counted["limited"] else ""
             timed_out = wording.count(counted["timeouts"], "time")
             yield f"{kind} stream", f"{'active' if counted['active'] else 'ended'}: {came}; timed out {timed_out}"
 

@@ -94,7 +94,7 @@ class DaemonStage:
         if status["faults"]:
             faults = ", ".join(status["faults"])
             raise ForcesLost(
-                f"the daemon switched the forces off after a fault ({faults}); see docs/protocol.md, Faults"
+                f"the daemon switched the forces off after a fault ({faults}); see docs/reference/events.md, Faults"
             )
         if self._enabled and status["forces"] != "on":
             raise ForcesStopped("another client switched the forces off")

@@ -15,7 +15,7 @@ import hashlib
 import io
 import os
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -50,6 +50,10 @@ Kind: TypeAlias = Literal["tap", "grooves", "texture", "puncture"]
 Rate: TypeAlias = Annotated[float, Field(ge=MIN_RECORDING_RATE_HZ, le=MAX_RECORDING_RATE_HZ)]
 
 
+_MEASURED_QUANTITIES: Final[tuple[Quantity, ...]] = ("acceleration", "force", "position", "tangential_position")
+"""Quantities of which a recording has at least one."""
+
+
 class RecordingError(HapticdError):
     """A recording cannot be used; the message is one line with the recording's name and the reason."""
 
@@ -59,7 +63,11 @@ class RecordingError(HapticdError):
 
 
 class FatalRecordingError(RecordingError):
-    """A fit cannot leave the recording out: its file cannot be opened, or a unit is unknown or contradictory."""
+    """A fit cannot leave the recording out: its file cannot be opened, or its columns or a unit are not known."""
+
+
+class _UnknownColumnsError(ValueError):
+    """A file has none of the columns that a recording needs."""
 
 
 class RecordedColumn(Model):
@@ -145,7 +153,7 @@ def load(path: str | os.PathLike[str], known_as: str | None = None) -> Recording
                 f"the rate is {rate_hz:g} Hz in the file, {sidecar.rate_hz:g} Hz in the YAML: make them equal"
             )
         even, rate_hz, gaps = uniform(found, rate_hz if sidecar.rate_hz is None else sidecar.rate_hz, rounding_s)
-    except ColumnUnitError as error:
+    except (ColumnUnitError, _UnknownColumnsError) as error:
         raise FatalRecordingError(shown, str(error)) from None
     except ValueError as error:
         raise RecordingError(shown, str(error)) from None
@@ -256,12 +264,15 @@ def _quantities(
     unfit = [name for name in COLUMN_OF.values() if name in table.others] if not sidecar.columns else []
     if unfit:
         raise ValueError(f"{unfit[0]} {table.others[unfit[0]]}: name other columns in {where}")
-    if not set(wanted) & {"acceleration", "force", "position", "tangential_position"}:
+    if not set(wanted) & set(_MEASURED_QUANTITIES):
         if sidecar.columns:
             raise ValueError(f"{where}: columns has neither acceleration nor force nor position")
-        known = ", ".join(COLUMN_OF.values())
+        known = ", ".join(COLUMN_OF[quantity] for quantity in _MEASURED_QUANTITIES)
         has = known_names("", map(short_name, [*table.names, *table.others])).removeprefix("known: ")
-        raise ValueError(f"none of the columns {known}; the file has {has}: name the columns in {where}")
+        raise _UnknownColumnsError(
+            f"none of the columns {known}; the file has {has}: name the columns in {where}, such as "
+            "columns: {acceleration: {column: NAME, unit: g}}"
+        )
     places = {quantity: table.index_of(column.column) for quantity, column in wanted.items()}
     # `uniform` reports values that are too large or NaN.
     with np.errstate(all="ignore"):

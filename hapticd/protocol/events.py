@@ -1,6 +1,6 @@
 """Events as maps with named members, made from the records of the core.
 
-Telemetry sends these maps, recordings and simulated runs store them; docs/reference/telemetry.md lists the members.
+Telemetry sends these maps, recordings and simulated runs store them; docs/reference/events.md lists the members.
 """
 
 from __future__ import annotations

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, cast
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, cast
 
 from pydantic import ValidationError
 
+from hapticd.base import wording
 from hapticd.base.errors import InvalidError, Problem, known_names, path_text
 from hapticd.base.merge_patch import merge_patch
 from hapticd.base.model import MAX_FAULTS, check_count
 from hapticd.base.steps import Steps
 from hapticd.config.materials import MAX_MATERIALS, Material, Materials, material_steps, shipped_materials
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, scene_steps, validate_object
+
+_OPTIONAL_PARTS: Final = ("tap", "rupture", "friction", "texture")
+"""Keys of the parts of a material that it may lack."""
 
 
 def _patched_directly(before: SceneObject, patch: object) -> SceneObject | None:
@@ -68,7 +72,7 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> Steps[dict[str
 def _no_object(id: str, scene: Scene) -> str:
     """Return the problem of a patch of an object that does not exist."""
     if id in Scene.model_fields:
-        return "there is no object of this id: it is a key of the scene, which set_scene changes"
+        return "there is no object of this id: it is a key of the scene, which set_scene (`hapticd apply`) changes"
     known = known_names(id, scene.objects) if scene.objects else "the scene has no objects"
     return f"there is no object of this id, and a new one needs a kind; {known}"
 
@@ -87,6 +91,19 @@ def replaced_materials(given: Mapping[str, object], before: Materials) -> Steps[
         raise InvalidError(problems)
     check_count(materials, MAX_MATERIALS, ("materials",))
     return materials
+
+
+def dropped_parts(given: Iterable[str], materials: Materials, before: Materials) -> list[Problem]:
+    """Return a warning for each replaced material without a part that the earlier material has, such as its tap."""
+    problems = []
+    for name in filter(before.__contains__, given):
+        lacking = [
+            part for part in _OPTIONAL_PARTS if getattr(before[name], part) and not getattr(materials[name], part)
+        ]
+        if lacking:
+            text = f"no longer has the {wording.listed(lacking)} of the material that it replaces"
+            problems.append(Problem(path_text(("materials", name)), text))
+    return problems
 
 
 def patched_materials(given: Mapping[str, object], before: Materials) -> Steps[tuple[dict[str, Material], list[str]]]:

@@ -42,7 +42,7 @@ EVENT_MEMBER_KINDS: Final[dict[str, Kind]] = {
     **dict.fromkeys(("appeared", "completed"), Kind.TRUTH),
     **dict.fromkeys(("faults", "data"), Kind.JSON),
 }
-"""Types of the members of events, which docs/reference/telemetry.md describes."""
+"""Types of the members of events, which docs/reference/events.md describes."""
 
 COMMON_EVENT_MEMBERS: Final = ("event", "tick", "time_ns")
 """Members that every event has."""

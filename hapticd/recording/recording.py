@@ -46,7 +46,7 @@ class Recording:
     events: list[dict[str, Any]] = field(repr=False)
     """Events with the same members as in telemetry."""
     texts: Mapping[str, Any] = field(repr=False)
-    """Other content of the file by name: scene, materials, config, changes, status, recording, flight."""
+    """Other content of the file, by name (scene, materials, config, changes, status, recording, flight)."""
     truth: npt.NDArray[np.float64] | None = field(default=None, repr=False)
     """Exact x and y of the simulated handle in m, and its velocities in m/s, shape (n, 4); None if not simulated."""
 
@@ -86,7 +86,7 @@ class Recording:
 
     @property
     def notes(self) -> dict[str, Json]:
-        """The user's notes: from `--note` as texts, from `daemon.record(path, trial=3)` with their types."""
+        """Notes of the user, from `--note` as texts, from `daemon.record(path, trial=3)` with their types."""
         notes = self._about.get("notes")
         return dict(notes) if isinstance(notes, dict) else {}
 

@@ -290,9 +290,9 @@ class Margin:
         text = f"{self.stiffness_n_per_m:.4g} N/m"
         if self.damping_n_s_per_m > 0.0:
             text += f" and {self.damping_n_s_per_m:.3g} N s/m"
-        advice = f"up to {self.limit_n_per_m:.4g} N/m would be safe" if self.limit_n_per_m > 0.0 else ""
+        advice = f"up to {self.limit_n_per_m:.4g} N/m would be safe in any hand" if self.limit_n_per_m > 0.0 else ""
         if self.remedy:
-            advice = f"safe with {self.remedy}"
+            advice = f"safe in any hand with {self.remedy}"
         if not self.safe and not advice:
             advice = "no stiffness would be safe" + (" with that damping" if self.damping_n_s_per_m > 0.0 else "")
         if self.safe:

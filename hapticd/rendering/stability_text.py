@@ -34,7 +34,8 @@ def _scene_text(found: Mapping[str, Any]) -> str:
     if harmful:
         more = "at least " if unproved > len(found["worst"]) else ""
         of = "what can be touched" if sets == 1 else f"{more}{harmful} of {sets} sets of objects"
-        return f"{of} may oscillate: lower the stiffness or raise servo.rate_hz, see docs/stability.md"
+        advice = "lower the stiffness, or raise servo.rate_hz unless the link is slower, see docs/stability.md"
+        return f"{of} may oscillate: {advice}"
     of = "" if sets == 1 else f" for {unproved} of {sets} sets of objects"
     return f"stable with the configured hand; not proved for every hand{of}. Nothing needs to be done"
 

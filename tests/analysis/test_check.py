@@ -140,3 +140,9 @@ def test_an_autoregressive_texture_sounds_at_the_peak_of_its_loudest_model() -> 
     peak_hz = math.acos((1 + 0.95**2) / (2 * 0.95) * math.cos(w)) * 2500.0 / (2 * math.pi)
     assert sound.use == "texture" and sound.frequency_hz == pytest.approx(peak_hz, rel=1e-3)
     assert sound.shown_hz == sound.frequency_hz
+
+
+def test_what_a_scene_does_not_display_is_noted() -> None:
+    report = check(load_config({"scene": {"display": {"force": False, "vibration": False}}}))
+    assert [note.where for note in report.notes] == ["scene.display.force", "scene.display.vibration"]
+    assert report.faults == 0

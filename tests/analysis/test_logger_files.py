@@ -316,7 +316,7 @@ def test_a_preamble_is_skipped(tmp_path: Path, head: list[str], numbers: list[st
         ([*SI_NAMES, "0.0,1", "ERR,ERR"], rows(), "line 2 holds a number, but the lines of numbers begin"),
         ([*SI_NAMES, "n/a,0.5"], rows(), 'line 2 must hold numbers, holds "n/a"'),
         ([*SI_NAMES, "0.0,n/a"], rows(), 'line 2 must hold numbers, holds "n/a"'),
-        (["Rate,1000"], rows(), "PATH: none of the columns time_s"),
+        (["Rate,1000"], rows(), "PATH: none of the columns acceleration_m_per_s2"),
         ([*SI_NAMES, *rows()[:3], "0.003,"], rows()[4:], 'line 5 must hold numbers, holds ""'),
         ([*SI_NAMES, *rows()[:20], "Restart,"], rows()[21:], 'line 22 must hold numbers, holds "Restart"'),
         (["Rate", "2000", *SI_NAMES], rows(), "set in PATH.yaml skip_lines, the number of lines to leave out"),

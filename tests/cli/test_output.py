@@ -93,7 +93,9 @@ def test_problems_come_first_with_their_remedies() -> None:
         "scene            revision 1,234",
     ]
     assert ("telemetry", "1 sample and 0 events dropped") in list(lines(faulted))
-    assert ("forces", "off: `hapticd force on` turns them on") in list(lines(status(forces="off")))
+    assert ("forces", "off, by a command or since the start: `hapticd force on` turns them on") in list(
+        lines(status(forces="off"))
+    )
 
 
 def test_the_status_counts_the_messages_of_streams() -> None:

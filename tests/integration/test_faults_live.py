@@ -410,6 +410,7 @@ def test_an_object_that_is_not_there_is_guessed_at() -> None:
         with pytest.raises(hapticd.RemoteError, match=r"objects\.pusch: there is no object of this id.*mean push"):
             client.update_scene({"pusch": {"force_n": [0, 1]}})
         with pytest.raises(
-            hapticd.RemoteError, match=r"objects\.display: .* a key of the scene, which set_scene changes"
+            hapticd.RemoteError,
+            match=r"objects\.display: .* a key of the scene, which set_scene \(`hapticd apply`\) changes",
         ):
             client.update_scene({"display": {"force": False}})

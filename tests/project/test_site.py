@@ -119,6 +119,8 @@ def test_the_site_has_all_commands_and_methods(site: Path, pages: dict[Path, Pag
     for name, described in (("hapticd", hapticd.Client), ("hapticd.aio", hapticd.aio.Client)):
         for method, _ in inspect.getmembers(described, callable):
             assert method.startswith("_") or f"{name}.Client.{method}" in anchors, f"{name}.Client.{method}"
+    shown = [name for name in dir(hapticd.Recording) if not name.startswith("_")]
+    assert {f"hapticd.Recording.{name}" for name in (*shown, "samples", "events")} <= anchors
 
 
 @pytest.mark.slow

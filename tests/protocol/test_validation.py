@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from hapticd.config.configuration import load_config
@@ -57,3 +59,17 @@ def test_every_fault_is_told_at_once(
         methods.call(method, params)
     assert isinstance(refused.value.data, list)
     assert sorted(problem["where"] for problem in refused.value.data) == sorted(places)
+
+
+@pytest.mark.parametrize("method", ["set_materials", "apply"])
+def test_a_replaced_material_that_loses_a_part_is_reported(method: str) -> None:
+    methods = Methods(Engine(load_config({"servo": {"rate_hz": 1000}})))
+    soft = {"stiffness_n_per_m": 500}
+    answer: Any = methods.call(method, {"materials": {"comb": soft, "pine": soft}})
+    (lost,) = [warned for warned in answer["warnings"] if "no longer" in warned["problem"]]
+    assert lost == {
+        "where": "materials.comb",
+        "problem": "no longer has the texture of the material that it replaces",
+    }
+    again: Any = methods.call(method, {"materials": {"comb": soft}})
+    assert "warnings" not in again

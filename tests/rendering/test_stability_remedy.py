@@ -143,7 +143,7 @@ def test_it_says_which_key() -> None:
     source = {"device": link, "materials": rubber, "scene": {"objects": {"floor": FLOOR}}}
     margin = margin_of(source)
     assert margin.remedy.startswith("every stiffness of m, springs of friction and fields included, at most 0.0")
-    assert f"; safe with {margin.remedy}" in str(margin)
+    assert f"; safe in any hand with {margin.remedy}" in str(margin)
     spring = {"kind": "spring", "center_m": [0, 0], "stiffness_n_per_m": 500}
     margin = margin_of({"device": link, "scene": {"objects": {"spring": spring}}})
     assert margin.remedy.startswith("every stiffness of the fields at most 0.")

@@ -49,7 +49,9 @@ def test_a_safe_scene_in_words() -> None:
 def test_a_scene_that_may_oscillate_names_a_remedy() -> None:
     (_, whole), (verdict, one) = words({"floor": FLOOR}, SLOW)
     assert (
-        whole == "what can be touched may oscillate: lower the stiffness or raise servo.rate_hz, see docs/stability.md"
+        whole
+        == "what can be touched may oscillate: lower the stiffness, or raise servo.rate_hz unless the link is slower, "
+        "see docs/stability.md"
     )
     assert verdict == "unsafe"
     proved = "the limit up to which a wall is proved to be stable in any hand"

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 RIM_PX = 9  # arrows begin at the rim of the handle; the circle of the limit is larger by this distance
 BESIDE_PX = 10  # distance of arrows with the same direction
-SATURATED = 8  # flag of a sample, docs/reference/telemetry.md
+SATURATED = 8  # flag of a sample, docs/reference/events.md
 MINUS = "\N{MINUS SIGN}"
 
 

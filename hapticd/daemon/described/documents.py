@@ -125,9 +125,9 @@ ASYNCAPI_VERSION: Final = "3.0.0"
 """The version of the AsyncAPI specification."""
 _MSGPACK_MEDIA_TYPE: Final = "application/msgpack"
 _ABOUT_TELEMETRY: Final = """\
-The telemetry that hapticd publishes, and the messages that clients stream to it. `docs/protocol.md` explains all
-members. Quantities are in SI units; the ending of a name is its unit. Requests and their answers are in the OpenRPC
-document.
+The telemetry that hapticd publishes, and the messages that clients stream to it. `docs/reference/telemetry.md`,
+`events.md` and `status.md` explain the members. Quantities are in SI units; the ending of a name is its unit. Requests
+and their answers are in the OpenRPC document.
 
 - The transport is ZeroMQ over Unix sockets in the daemon's runtime directory: `hapticd.telemetry` (PUB, connect with
   SUB) and `hapticd.command` (ROUTER, connect with DEALER). The address of a telemetry channel is its topic.

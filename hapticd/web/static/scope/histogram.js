@@ -5,7 +5,7 @@ import { duration } from "./elements.js";
 import { axis, figureIn } from "./plot.js";
 
 // Returns the quantile `share`, in ns, interpolated within a bin on the logarithmic axis, and at most the maximum. `edges`
-// has one entry less than `counts`; see docs/protocol.md, get_status.
+// has one entry less than `counts`; see docs/reference/status.md.
 export function quantile({ edges, counts, max }, share) {
   const total = counts.reduce((sum, count) => sum + count, 0);
   if (total === 0) {
