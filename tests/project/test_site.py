@@ -150,6 +150,11 @@ def test_the_messages_of_troubleshooting_are_those_of_the_code() -> None:
     page = (DOCS / "howto" / "troubleshooting.md").read_text()
     messages = re.findall(r"^\| `([^`]+)`", page, flags=re.MULTILINE)
     assert len(messages) > 12
+    symptoms = page[page.index("## By symptom") : page.index("## By message")]
+    printed = re.findall(r"^\| (?!ssh\b)[^`|]+\| ([^|]+)\|", symptoms, flags=re.MULTILINE)
+    quoted = [each for cell in printed for each in re.findall(r"`([^`]+)`", cell)]
+    assert len(quoted) > 30
+    messages += quoted
     for message in messages:
         for part in re.split(r"\b(?:[A-Z]{3,}|N)\b(?:'s)?[\s:;?)]*", message):
             assert part.strip() in code, f"{message}: {part!r} is in no message of hapticd"
