@@ -68,7 +68,8 @@ def test_an_object_that_would_hold_the_handle_needs_force(client: Client, kind: 
     assert problem["where"] == "scene.objects.it"
     assert "it pushes with the device's largest force, 8.9 N" in problem["problem"]
     assert problem["problem"].endswith(
-        "nothing was changed: move the object or the handle, turn forces off, or repeat the change with force"
+        "nothing was changed: move the object or the handle, turn forces off, or repeat the change with force: true "
+        "(--force)"
     )
     refused(client, "update_scene", objects={"it": HELD[kind]})
     refused(client, "apply", scene={"objects": {"it": HELD[kind]}}, materials={})

@@ -59,8 +59,8 @@ def test_millimetres_as_metres_are_reported_with_the_position_in_metres() -> Non
         ({"kind": "box", "center_m": [0, 0], "size_m": [0.1, 0.0222], "material": "wood"}, False),
         ({"kind": "box", "center_m": [0.05, 0], "size_m": [0.1, 0.1], "material": "wood"}, False),  # at its face
         ({"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.1, "material": "cellophane"}, False),
-        ({"kind": "spring", "center_m": [0.07, 0], "stiffness_n_per_m": 127}, False),  # 8.89 N
-        ({"kind": "spring", "center_m": [0.07, 0], "stiffness_n_per_m": 128}, True),  # 8.96 N
+        ({"kind": "spring", "center_m": [0.07, 0], "stiffness_n_per_m": 254}, False),  # 17.78 N, twice 8.89
+        ({"kind": "spring", "center_m": [0.07, 0], "stiffness_n_per_m": 255}, True),  # 17.85 N, twice 8.93
         ({"kind": "constant", "force_n": [0, -20]}, False),  # limited as any force
     ],
 )
@@ -159,3 +159,9 @@ def test_a_path_in_millimetres_is_reported() -> None:
     with pytest.warns(hapticd.ImplausibleValue, match="waypoints: has positions of up to 8 m"):
         hapticd.simulate(scene, [[0, 0, 0.02], [0.01, 0, 8]], rate_hz=1000)
     hapticd.render(scene, [[0, 0.7], [0, -0.7]])
+
+
+def test_a_constant_force_above_the_device_is_reported() -> None:
+    (problem,) = warned({"kind": "constant", "force_n": [0, -50]})
+    assert problem == "asks for 50 N, and the device exerts at most 8.9 N"
+    assert warned({"kind": "constant", "force_n": [0, -5]}) == []
