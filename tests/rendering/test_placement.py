@@ -61,7 +61,6 @@ def test_millimetres_as_metres_are_reported_with_the_position_in_metres() -> Non
         ({"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.1, "material": "cellophane"}, False),
         ({"kind": "spring", "center_m": [0.07, 0], "stiffness_n_per_m": 254}, False),  # 17.78 N, twice 8.89
         ({"kind": "spring", "center_m": [0.07, 0], "stiffness_n_per_m": 255}, True),  # 17.85 N, twice 8.93
-        ({"kind": "constant", "force_n": [0, -20]}, False),  # limited as any force
     ],
 )
 def test_deep_is_what_asks_for_more_than_the_device_can(item: dict[str, Any], is_reported: bool) -> None:
