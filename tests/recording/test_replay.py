@@ -82,7 +82,7 @@ def strokes(seconds: float, seed: int = 1) -> np.ndarray:
 def test_every_shipped_scene_comes_out_bit_for_bit(tmp_path: Path, scene: Path) -> None:
     operator = re.search(r"\bOperator: (\w+\.yaml)\n", scene.read_text())
     assert operator is not None
-    simulate_files(str(scene), str(CONFIG / "operators" / operator[1]), str(tmp_path / "run.npz"), 3.0, None)
+    simulate_files([str(scene)], str(CONFIG / "operators" / operator[1]), str(tmp_path / "run.npz"), 3.0, None)
     again = replay(tmp_path / "run.npz")
     assert len(again.samples) == again.ticks == again.identical == 3 * RATE_HZ
     assert (again.first_different, again.missing_revisions, again.settled) == (None, (), True)
