@@ -256,8 +256,8 @@ def run(options: Options, advance: Advance) -> Section:
         walls,
         "`hapticd verify` reports the same errors for the device and materials of a configuration, with the onset at a "
         "tick: rows `tap` without contact, rows `wall` on a wall of the material's stiffness. It also includes dry "
-        "friction, force resolution and the force limit of the joystick. Without these three it gives the figures "
-        "above.",
+        "friction, force resolution, the force limit and the link of the joystick. Without these four it gives the "
+        "figures above.",
         rates,
     ]
     return Section("Displayed acceleration", parts)

@@ -21,6 +21,7 @@ from hapticd.hid.discovery import choose, find
 from hapticd.hid.link import Link, link_of
 from hapticd.hid.plan import UndrivableError
 from hapticd.hid.sources import read_replay
+from hapticd.rendering.compensation import Load
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.displayability import (
@@ -299,5 +300,6 @@ def _waveform_vibration(waveform: Waveform, output: Output) -> Vibration:
         return Vibration("tap", middle_hz, None, None)
     error = None
     if rate_hz == waveform.rate_hz and output.dynamics is not None and output.actuator is None:
-        error = waveform_error(waveform, output.dynamics, output.carried_hz, output.effective_mass_kg)
+        load = Load(slow_link=output.slow_link)
+        error = waveform_error(waveform, output.dynamics, output.carried_hz, output.effective_mass_kg, load)
     return Vibration("tap", middle_hz, middle_hz * rate_hz / waveform.rate_hz, error)

@@ -68,6 +68,7 @@ def check_command(files: tuple[str, ...], configs: tuple[str, ...], offline: boo
 
 
 def _print(report: Report, measurable: bool) -> None:
+    from hapticd.rendering.compensation import ERROR_BAND_LOW_HZ, ERROR_BAND_RATE_FRACTION
     from hapticd.rendering.rearm import rearm_text
 
     output, stability = report.output, report.stability
@@ -88,9 +89,11 @@ def _print(report: Report, measurable: bool) -> None:
     rows = [_material_row(material)[: len(columns)] for material in materials]
     print_table(columns, rows, "Materials", wrapped="sounds")
     if output.dynamics is not None:
+        band = f"from {ERROR_BAND_LOW_HZ:g} to {ERROR_BAND_RATE_FRACTION * output.carried_hz:g} Hz"
+        sent = ", sent at any time within a frame of the link" if output.slow_link else ""
         click.echo(
             "error: RMS of the difference between the handle's acceleration and the library's, over the library's RMS, "
-            f"from 30 Hz to 0.4 of the rate, with compensation: {output.compensation}"
+            f"{band}{sent}, with compensation: {output.compensation}"
         )
     again = rearm_text(output.rearm_m, report.encoder_step_m, output.rate_hz, measurable)
     if again is not None:
@@ -270,7 +273,8 @@ def verify_command(
     """Measure the error of the handle's acceleration for each tap, groove and rupture of the materials.
 
     Taps and grooves are played as for --speed, grooves with a normal force of 1 N. The error is the RMS of measured
-    minus nominal acceleration, divided by the RMS of the nominal one, from 30 Hz to 0.4 of the servo rate.
+    minus nominal acceleration, divided by the RMS of the nominal one, from 30 Hz to 0.4 of the rate of servo or link,
+    whichever is lower.
 
     With the simulated joystick the motion is known exactly, and each tap is also measured on a wall of its material. A
     real device needs an accelerometer that records meanwhile. Hold the handle as it will be used. Strikes follow each

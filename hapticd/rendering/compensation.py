@@ -15,6 +15,9 @@ onset it may also correct the first HD_KICKS samples one by one; such a correcti
 
 A surface in contact acts on the handle, too. Its stiffness and damping, sampled and held like every force, are added to
 those of the device. The actuator delays all these forces by its lag.
+
+A link that is slower than the servo samples the force of a strike at any time within its frame T. Then gains and errors
+are those over all onsets within a frame, and no sample is corrected: the core knows ticks, not the frames of a link.
 """
 
 from __future__ import annotations
@@ -52,6 +55,8 @@ MIN_KICK_ERROR_REDUCTION: Final = 0.01
 
 _ONSET_FRACTIONS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Onsets of the strike for which kicks are designed, in periods before its first tick."""
+_ONSETS_IN_FRAME: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Onsets of a strike that a slow link samples, in frames before the first sample: the middles of fifths of a frame."""
 _MODE_TIME_CONSTANTS: Final = 5.0
 """A mode ends five time constants after its last strike."""
 _PEAK_GRID_SAMPLES: Final = 512
@@ -63,18 +68,25 @@ _Floats: TypeAlias = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """Dynamics in addition to handle and hand: the surface along the direction of the strike, and the actuator."""
+    """What acts on a strike besides handle and hand: the surface along its direction, the actuator and the link."""
 
     stiffness_n_per_m: float = 0.0
     damping_n_s_per_m: float = 0.0
     age_s: float = 0.0
     """Time from the measurement of a position until the surface's force for that position acts."""
     actuator: Actuator | None = None
+    slow_link: bool = False
+    """Whether a link that is slower than the servo samples the force."""
 
     @property
     def free(self) -> Load:
-        """The load without the surface: only the lag of the actuator."""
-        return Load(actuator=self.actuator)
+        """The load without the surface: the lag of the actuator, and the link."""
+        return Load(actuator=self.actuator, slow_link=self.slow_link)
+
+    @property
+    def onsets(self) -> tuple[float, ...]:
+        """Onsets of a strike, in periods before its first sample, over which its displayed error is the RMS."""
+        return _ONSETS_IN_FRAME if self.slow_link else (0.0,)
 
     def lag(self, s: _Complex) -> _Complex:
         """Return the transfer function of the actuator at the complex frequencies `s`."""
@@ -119,7 +131,8 @@ class Shape:
     """Upper bound of the magnitude of the samples, for any onset between two ticks."""
     peak_time_s: float
     error: float
-    """Displayed error in the band: RMS of (handle's acceleration - mode), divided by the RMS of the mode."""
+    """Displayed error in the band: RMS of (handle's acceleration - mode), divided by the RMS of the mode. Through a
+    slow link it is the RMS over all onsets."""
     limited: bool
     """Whether the force was scaled down because its peak exceeded MAX_STRIKE_FORCE_RATIO."""
     kicks: tuple[tuple[float, float], ...] = ()
@@ -189,10 +202,9 @@ class _Grid:
         """Spectra exp(-s k T) of kicks of size 1, one for each sample k that may get a kick."""
         return [np.exp(-self.s * k * self.period_s) for k in range(MAX_CORRECTED_SAMPLES)]
 
-    @cached_property
-    def onset_spectra(self) -> list[_Complex]:
-        """Weighted spectra of the mode for each onset of _ONSET_FRACTIONS, with the first tick as time 0."""
-        return [self.target * np.exp(self.s * onset * self.period_s) for onset in _ONSET_FRACTIONS]
+    def targets(self, onsets: tuple[float, ...]) -> list[_Complex]:
+        """Return weighted spectra of the mode for these onsets, in periods before the first sample, which is time 0."""
+        return [self.target * np.exp(self.s * onset * self.period_s) for onset in onsets]
 
     def response(self, dynamics: Dynamics, load: Load) -> _Complex:
         """Return the weighted response of the device's acceleration to sampled forces in units of (m + m_h)."""
@@ -246,14 +258,14 @@ class _Band:
         rate_hz: float,
         load: Load,
         tails: Sequence[complex] = (),
-        with_onsets: bool = False,
+        with_kicks: bool = False,
     ) -> None:
-        """Compute the basis of the spectra; `with_onsets` includes kicks and all onsets of _ONSET_FRACTIONS."""
+        """Compute the basis of the spectra. `with_kicks` includes kicks, and the onsets for which they are designed."""
         grid = self._grid = _grid(mode, rate_hz)
-        self._made_for = mode, dynamics, load
+        self._mode, self._dynamics, self._load = mode, dynamics, load
         self._pole = pole_of(mode)
         response = grid.response(dynamics, load)
-        self._onsets = _ONSET_FRACTIONS if with_onsets else _ONSET_FRACTIONS[:1]
+        self._onsets = _ONSET_FRACTIONS if with_kicks else load.onsets
         self._decays: dict[tuple[complex, int], int] = {}
         spectra: list[_Complex] = []
         for pole in (self._pole, *tails):
@@ -261,10 +273,10 @@ class _Band:
                 self._decays[pole, count] = len(spectra)
                 spectra += [response * each for each in grid.pair(pole, count)]
         self._kicks = len(spectra)
-        if with_onsets:
+        if with_kicks:
             spectra += [response * each for each in grid.kick_spectra]
         self._targets = len(spectra)
-        spectra += [grid.target] if not with_onsets else grid.onset_spectra
+        spectra += grid.targets(self._onsets)
         matrix = np.array(spectra)
         stacked = np.concatenate((matrix.real, matrix.imag), axis=1).T
         self._base: _Floats = np.asarray(np.linalg.qr(stacked, mode="r"), np.float64)
@@ -301,7 +313,7 @@ class _Band:
             gains, peak = factor * gains, MAX_STRIKE_FORCE_RATIO
         mode, tail, second_tail = (*ringing, None, None)[:3]
         assert mode is not None
-        error = self.error(self.columns(poles), gains)
+        error = self.error_over(self._load.onsets, poles, gains)
         return Shape(mode, tail, peak, peak_time_s, error, limited, second_tail=second_tail)
 
     def alone(self, gain: complex) -> Shape:
@@ -310,14 +322,12 @@ class _Band:
 
     def by_hold_gain(self) -> Shape:
         """Return the force's shape with the mode's pole alone, and the gain that compensates hold and actuator."""
-        _, _, load = self._made_for
-        lag = complex(load.lag(np.array([self._pole], np.complex128))[0])
+        lag = complex(self._load.lag(np.array([self._pole], np.complex128))[0])
         return self.alone(hold_gain(self._pole, self._grid.period_s) / lag)
 
     def by_pole_gain(self) -> Shape:
         """Return the force's shape with the mode's pole alone, and the gain that compensates the device (pole_gain)."""
-        mode, dynamics, load = self._made_for
-        return self.alone(pole_gain(mode, dynamics, self._grid.period_s, load))
+        return self.alone(pole_gain(self._mode, self._dynamics, self._grid.period_s, self._load))
 
     def plain(self) -> Shape:
         """Return the shape without a tail, from by_hold_gain or by_pole_gain, that has the smaller displayed error."""
@@ -326,8 +336,9 @@ class _Band:
     def with_tail(self, tail: complex) -> Shape:
         """Return the force's shape with the mode's pole and the pole `tail`, both gains from one least-squares fit."""
         poles = [self._pole, tail]
-        gains = np.linalg.lstsq(np.array(self.columns(poles)).T, self.target(), rcond=None)[0]
-        return self.shape(poles, np.asarray(gains, np.float64))
+        columns = np.vstack([np.array(self.columns(poles, onset)).T for onset in self._load.onsets])
+        target = np.concatenate([self.target(onset) for onset in self._load.onsets])
+        return self.shape(poles, np.asarray(np.linalg.lstsq(columns, target, rcond=None)[0], np.float64))
 
     def with_kicks(self, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
         """Return the force's shape with mode, tail and kicks, and its displayed error, RMS over _ONSET_FRACTIONS.
@@ -352,7 +363,7 @@ class _Band:
         peak = shape.peak + _largest_kick(kicked_pairs)
         errors = [self.error(list(each.T), found, onset) for each, onset in zip(columns, _ONSET_FRACTIONS, strict=True)]
         shape = replace(shape, peak=peak, error=errors[0], limited=peak > MAX_STRIKE_FORCE_RATIO, kicks=kicked_pairs)
-        return shape, _root_mean_square(errors)
+        return shape, root_mean_square(errors)
 
     def bounded(self, shape: Shape, rows: _Floats, bounds: _Floats) -> Shape | None:
         """Return the shape with the poles and kicks of `shape` that has the least displayed error within bounds.
@@ -360,15 +371,14 @@ class _Band:
         The gains satisfy rows @ gains <= bounds. Returns None if no gains do.
         """
         poles = [part.pole for part in shape.parts]
-        if not shape.kicks:
-            gains = bounded_least_squares(np.array(self.columns(poles)).T, self.target(), rows, bounds)
-            return None if gains is None else self.shape(poles, gains)
         columns = [np.array(self.columns(poles, onset)).T for onset in self._onsets]
         targets = [self.target(onset) - self._kicked(shape, onset) for onset in self._onsets]
         gains = bounded_least_squares(np.vstack(columns), np.concatenate(targets), rows, bounds)
         if gains is None:
             return None
         found = self.shape(poles, gains)
+        if not shape.kicks:
+            return found
         error = float(np.linalg.norm(columns[0] @ gains - targets[0])) / self._grid.target_norm
         peak = found.peak + _largest_kick(shape.kicks)
         return replace(found, peak=peak, error=error, kicks=shape.kicks)
@@ -378,11 +388,9 @@ class _Band:
         kicks = [(c + d * onset) * self._base[:, self._kicks + k] for k, (c, d) in enumerate(shape.kicks)]
         return np.asarray(np.sum(kicks, axis=0), np.float64)
 
-    def error_over_onsets(self, shape: Shape) -> float:
-        """Return the displayed error of a shape without kicks, RMS over _ONSET_FRACTIONS."""
-        poles = [part.pole for part in shape.parts]
-        gains = np.array([x for part in shape.parts for x in (part.gain.real, part.gain.imag)])
-        return _root_mean_square([self.error(self.columns(poles, onset), gains, onset) for onset in _ONSET_FRACTIONS])
+    def error_over(self, onsets: tuple[float, ...], poles: Sequence[complex], gains: _Floats) -> float:
+        """Return the displayed error of a force without kicks, RMS over these onsets."""
+        return root_mean_square([self.error(self.columns(poles, onset), gains, onset) for onset in onsets])
 
 
 def bounded_least_squares(columns: _Floats, target: _Floats, rows: _Floats, bounds: _Floats) -> _Floats | None:
@@ -433,10 +441,10 @@ def _non_negative(columns: _Floats) -> _Floats:
 
 @lru_cache(maxsize=8)
 def _band(
-    mode: Mode, dynamics: Dynamics, rate_hz: float, load: Load, tails: tuple[complex, ...], with_onsets: bool
+    mode: Mode, dynamics: Dynamics, rate_hz: float, load: Load, tails: tuple[complex, ...], with_kicks: bool
 ) -> _Band:
     """Return a band, cached because several shapes with the same poles are designed in a row."""
-    return _Band(mode, dynamics, rate_hz, load, tails, with_onsets)
+    return _Band(mode, dynamics, rate_hz, load, tails, with_kicks)
 
 
 def _largest_kick(kicks: tuple[tuple[float, float], ...]) -> float:
@@ -444,7 +452,8 @@ def _largest_kick(kicks: tuple[tuple[float, float], ...]) -> float:
     return max(max(abs(c), abs(c + d)) for c, d in kicks)
 
 
-def _root_mean_square(errors: list[float]) -> float:
+def root_mean_square(errors: Sequence[float]) -> float:
+    """Return the root of the mean of the squares."""
     return math.sqrt(sum(error**2 for error in errors) / len(errors))
 
 
@@ -507,14 +516,16 @@ def shape_of(
         return _Band(mode, dynamics, rate_hz, load).by_hold_gain()
     tails = _tails(mode, rate_hz)
     long = 1 / mode.decay_rate_per_s >= 2 * MAX_CORRECTED_SAMPLES / rate_hz / _MODE_TIME_CONSTANTS
-    kickable = long and mode.frequency_hz >= MIN_KICK_RATE_FRACTION * rate_hz
+    kickable = long and mode.frequency_hz >= MIN_KICK_RATE_FRACTION * rate_hz and not load.slow_link
     band = _Band(mode, dynamics, rate_hz, load, tails, kickable)
     plain, best = band.plain(), min(map(band.with_tail, tails), key=lambda shape: shape.error)
     best = best if best.error < plain.error - MIN_TAIL_ERROR_REDUCTION else plain
     if not kickable:
         return best
     kicked, kicked_error = band.with_kicks(tails[0])
-    if kicked.limited or kicked_error >= band.error_over_onsets(best) - MIN_KICK_ERROR_REDUCTION:
+    poles = [part.pole for part in best.parts]
+    gains = np.array([x for part in best.parts for x in (part.gain.real, part.gain.imag)])
+    if kicked.limited or kicked_error >= band.error_over(_ONSET_FRACTIONS, poles, gains) - MIN_KICK_ERROR_REDUCTION:
         return best
     return kicked
 

@@ -40,6 +40,11 @@ class Output:
         """Forces per second that reach the device: the rate of the servo, or of the link if that is lower."""
         return self.rate_hz if self.link_rate_hz is None else min(self.rate_hz, self.link_rate_hz)
 
+    @property
+    def slow_link(self) -> bool:
+        """Whether the link carries fewer forces per second than the servo computes."""
+        return self.carried_hz < self.rate_hz
+
 
 def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
     """Return the Output (properties for rendering) of the configured device at a servo rate.

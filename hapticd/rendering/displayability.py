@@ -59,8 +59,9 @@ def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
 
 
 def strike_error(mode: Mode, output: Output) -> float | None:
-    """Return the displayed error of a strike at a tick: that of the handle's acceleration relative to the mode.
+    """Return the displayed error of a strike: that of the handle's acceleration relative to the mode.
 
+    The strike begins at a tick; through a slow link the error is the RMS over all onsets within a frame.
     Returns None if the mode is muted or lowered, or if mass and damping of the handle are unknown.
     """
     if output.dynamics is None or displayed_mode(mode, output)[0] is not mode:
@@ -71,7 +72,7 @@ def strike_error(mode: Mode, output: Output) -> float | None:
         output.carried_hz,
         output.compensation,
         output.effective_mass_kg,
-        output.actuator,
+        Load(actuator=output.actuator, slow_link=output.slow_link),
     )
 
 
@@ -93,7 +94,8 @@ class Touched:
 
     def load(self, output: Output) -> Load:
         """Return the load on a strike against this surface."""
-        return Load(self.design_n_per_m, self.damping_n_s_per_m, output.age_s, output.actuator)
+        surface = self.design_n_per_m, self.damping_n_s_per_m
+        return Load(*surface, output.age_s, output.actuator, output.slow_link)
 
     @property
     def best_in_contact(self) -> bool:

@@ -5,8 +5,8 @@ the time between two samples: of a device from exact differences of its velocity
 closed form.
 
 The displayed error is the RMS of the difference from the target, divided by the RMS of the target, both limited to the
-error band, 30 Hz to 0.4 of the rate. Both signals begin at the onset. A delay of link or report shifts the force
-without changing its shape, so the onset of a measurement is the time at which the force begins at the device.
+error band, 30 Hz to 0.4 of the rate of servo or link, whichever is lower. Both signals begin at the onset. A delay of
+link or report shifts the force without changing its shape, so the target is delayed, too.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.config.actuator import Actuator
 from hapticd.config.configuration import Compensation
 from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.modes import Mode
@@ -25,9 +24,11 @@ from hapticd.config.waveform import Waveform
 from hapticd.rendering.compensation import (
     ERROR_BAND_LOW_HZ,
     ERROR_BAND_RATE_FRACTION,
+    NO_LOAD,
     Load,
     pole_of,
     pole_shape,
+    root_mean_square,
     shape_of,
 )
 
@@ -111,23 +112,29 @@ def band_error(
     return float(np.linalg.norm(band_lines(one - other, sample_rate_hz, low_hz, high))) / wanted
 
 
-def waveform_error(waveform: Waveform, dynamics: Dynamics, rate_hz: float, effective_mass_kg: float) -> float:
-    """Return the displayed error of a tap that plays a waveform and begins at a tick.
+def waveform_error(
+    waveform: Waveform, dynamics: Dynamics, rate_hz: float, effective_mass_kg: float, load: Load = NO_LOAD
+) -> float:
+    """Return the displayed error of a tap that plays a waveform, RMS over the onsets of `load`.
 
     The RMS difference of the handle's acceleration from the waveform is divided by the RMS of the waveform, both in the
     error band. The force is neither compensated nor delayed by the actuator.
     """
     ticks = math.ceil((waveform.length_s + _SETTLING_TIME_S) * rate_hz)
-    force = effective_mass_kg * waveform.curve.at(np.arange(ticks) / rate_hz)
     middles = (np.arange(ticks * PARTS_PER_PERIOD) + 0.5) / (rate_hz * PARTS_PER_PERIOD)
-    moved = handle_acceleration(force, dynamics, rate_hz)
-    return band_error(
-        moved,
-        waveform.curve.at(middles),
-        rate_hz * PARTS_PER_PERIOD,
-        ERROR_BAND_LOW_HZ,
-        ERROR_BAND_RATE_FRACTION * rate_hz,
-    )
+    errors = []
+    for onset in load.onsets:
+        force = effective_mass_kg * waveform.curve.at((np.arange(ticks) + onset) / rate_hz)
+        errors.append(
+            band_error(
+                handle_acceleration(force, dynamics, rate_hz),
+                waveform.curve.at(middles + onset / rate_hz),
+                rate_hz * PARTS_PER_PERIOD,
+                ERROR_BAND_LOW_HZ,
+                ERROR_BAND_RATE_FRACTION * rate_hz,
+            )
+        )
+    return root_mean_square(errors)
 
 
 def displayed_error(
@@ -136,15 +143,14 @@ def displayed_error(
     rate_hz: float,
     compensation: Compensation,
     effective_mass_kg: float | None = None,
-    actuator: Actuator | None = None,
+    load: Load = NO_LOAD,
 ) -> float:
-    """Return the error of the handle's acceleration, relative to the mode, for a strike at a tick; 0.1 is 10 %.
+    """Return the error of the handle's acceleration, relative to the mode, RMS over the onsets of `load`; 0.1 is 10 %.
 
     `mode` is displayable: its frequency is at most 0.4 of `rate_hz`, the rate of the servo or of a slower link.
-    `effective_mass_kg`, by default the mass of handle and hand, is used if compensation is off. `actuator` delays all
-    forces by its lag. The spectra are closed forms (compensation.py).
+    `effective_mass_kg`, by default the mass of handle and hand, is used if compensation is off. `load` has no surface.
+    The spectra are closed forms (compensation.py).
     """
-    load = Load(actuator=actuator)
     if compensation != "off":
         return shape_of(mode, dynamics, rate_hz, compensation, load).error
     mass = dynamics.mass_kg if effective_mass_kg is None else effective_mass_kg

@@ -17,6 +17,7 @@ from hapticd.base.core import lib, pointer
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.modes import Mode
+from hapticd.rendering.displayability import strike_error
 from hapticd.rendering.joystick import new_sim
 
 
@@ -140,6 +141,57 @@ def test_a_link_is_late_and_that_is_no_error() -> None:
     _, (late,) = displayed(config, WOOD)
     _, (at_once,) = displayed(config_of(1000), WOOD)
     assert late.error == pytest.approx(at_once.error, rel=1e-3)
+
+
+def error_through_a_link_by_numpy(config: Config, played: Played, strike: Strike, begin: int) -> float:
+    """RMS over a strike at every tick of a frame: the last force before each frame, held for a frame from then on."""
+    link, rate, finer = config.device.sim.link, config.servo.rate_hz, 16
+    assert link is not None
+    ticks = round(rate / link.rate_hz)
+    device = config.device.dynamics
+    assert device is not None
+    law = signal.lti([1, 0], [device.mass_kg, device.damping_n_s_per_m, device.grip_stiffness_n_per_m])
+    count = round((5 / strike.mode.decay_rate_per_s + verify.SIMULATION_TAIL_S) * rate)
+    decay, omega = strike.mode.decay_rate_per_s, strike.mode.angular_frequency_rad_per_s
+    fine_s = np.arange(count * finer) / (rate * finer)
+    wanted = strike.coefficient_m_per_s2 * np.exp(-decay * fine_s) * np.sin(omega * fine_s)
+    frequency = np.fft.rfftfreq(1 << 20, fine_s[1])
+    inside = (frequency >= 30) & (frequency <= 0.4 * link.rate_hz)
+    reference = np.fft.rfft(wanted, 1 << 20)[inside]
+    squares = []
+    for late in range(ticks):
+        sent = (np.arange(count) - late) // ticks * ticks + late  # the tick whose force acts, after the strike
+        held = np.where(sent < 0, 0.0, played.force_n[begin + np.maximum(sent, 0), played.along])
+        _, speed, _ = signal.lsim(law, np.repeat(held, finer), fine_s, interp=False)
+        shown = np.fft.rfft(np.gradient(speed, fine_s), 1 << 20)[inside]
+        squares.append(np.linalg.norm(shown - reference) ** 2 / np.linalg.norm(reference) ** 2)
+    return math.sqrt(sum(squares) / len(squares))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("compensation", ["off", "full"])
+@pytest.mark.parametrize("link_hz", [500, 1000, 2000])
+def test_a_slow_link_samples_a_strike_at_any_time(link_hz: float, compensation: str) -> None:
+    """`verify` has the error of numpy's link, and `check` the same: compensation was for frames, and for ticks."""
+    config = config_of(handle_mass_kg=0.1, link={"rate_hz": link_hz})
+    device = config.device.model_copy(update={"compensation": compensation})
+    config = config.model_copy(update={"device": device})
+    played, (verdict,) = displayed(config, WOOD)
+    assert verdict.error == pytest.approx(
+        error_through_a_link_by_numpy(config, played, WOOD, played.begins[0]), abs=0.01
+    )
+    assert strike_error(WOOD.mode, played.output) == pytest.approx(verdict.error, abs=0.01)
+
+
+@pytest.mark.parametrize(("link_hz", "most"), [(500, 0.16), (1000, 0.07), (2000, 0.03), (8000, 0.03)])
+def test_compensation_behind_a_slow_link_lessens_the_error(link_hz: float, most: float) -> None:
+    errors = {}
+    for compensation in ("off", "full"):
+        config = config_of(handle_mass_kg=0.1, link={"rate_hz": link_hz})
+        device = config.device.model_copy(update={"compensation": compensation})
+        _, (verdict,) = displayed(config.model_copy(update={"device": device}), WOOD)
+        errors[compensation] = verdict.error
+    assert errors["full"] < min(most, 0.5 * errors["off"])
 
 
 def test_a_strike_beyond_the_limit_is_weaker() -> None:

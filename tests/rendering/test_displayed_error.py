@@ -20,7 +20,7 @@ from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.daemon.engine import Engine
-from hapticd.rendering.compensation import MAX_STRIKE_FORCE_RATIO, Ringing, pole_gain, shape_of
+from hapticd.rendering.compensation import MAX_STRIKE_FORCE_RATIO, Load, Ringing, pole_gain, shape_of
 from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.displayed_error import band_error, displayed_error, handle_acceleration, waveform
@@ -380,7 +380,7 @@ def test_a_slow_link_is_the_hold(compensation: Literal["mass", "full"]) -> None:
     material = shipped_materials()["wood"]
     assert material.tap is not None and config.device.dynamics is not None
     record = mode_record(material.tap.mode, 1.0, 1.0, output_of(config, RATE))
-    shape = shape_of(material.tap.mode, config.device.dynamics, 1000.0, compensation)
+    shape = shape_of(material.tap.mode, config.device.dynamics, 1000.0, compensation, Load(slow_link=True))
     free = record[9:11] if compensation == "mass" else record[20:22]
     assert complex(*free) == shape.mode.gain  # type: ignore[arg-type]
     assert record[0:2] == pytest.approx(

@@ -2,7 +2,8 @@
 
 The commanded forces drive the simulated handle again, at PARTS_PER_PERIOD times the rate. Differences of its exact
 velocities are means of its acceleration; the library's waveform is averaged over the same times. A link delays the
-force without changing its shape, so the onset is the time at which the force begins at the actuator.
+force without changing its shape, so the waveform is delayed, too. A link that is slower than the servo samples a strike
+at any time within a frame: the forces are sent at LINK_PHASES times within a frame, and the error is the RMS over them.
 
 In an accelerometer's recording, cross-correlation finds the sequence of strikes. Each onset is then the time within
 3 ms of the expected one at which the error is smallest.
@@ -19,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Final
 
 import numpy as np
@@ -34,7 +36,7 @@ from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.scene import Scene, Wall
 from hapticd.config.texture import Grooves
-from hapticd.rendering.compensation import ERROR_BAND_LOW_HZ, ERROR_BAND_RATE_FRACTION
+from hapticd.rendering.compensation import ERROR_BAND_LOW_HZ, ERROR_BAND_RATE_FRACTION, root_mean_square
 from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.displayability import displayed_mode
 from hapticd.rendering.displayed_error import PARTS_PER_PERIOD, band_error, band_lines, waveform
@@ -55,6 +57,10 @@ SIMULATION_TAIL_S: Final = 0.25
 the pause between two strikes."""
 DEEP_TAP_TIMES: Final = 2.0
 """Time for which a tap on a wall keeps its speed, over the inverse of the angular frequency of handle and wall."""
+LINK_PHASES: Final = 10
+"""Number of onsets within a frame of a link that is slower than the servo."""
+MAX_FRAMES_TO_TICK: Final = 1000
+"""Largest number of frames of a link after which a frame begins at a tick again."""
 ONSET_LEAD_PERIODS: Final = 2.0**-20
 """Time from an onset to the next tick, in periods. Above 0, so that the probe is inside the surface at the tick."""
 
@@ -80,7 +86,8 @@ class Comparison:
     force_n: float
     """Largest commanded force."""
     error: float
-    """RMS of the difference divided by the RMS of the library's waveform, in the error band; 1 if the mode is muted."""
+    """RMS of the difference divided by the RMS of the library's waveform, in the error band; 1 if the mode is muted.
+    Through a link that is slower than the servo it is the RMS over the onsets within a frame."""
     strength: float
     """Displayed amplitude over that of the library, by projection on the waveform: 1 is ideal, less is too weak."""
 
@@ -171,19 +178,28 @@ def play(config: Config, strikes: list[Strike], axis: Axis) -> Played:
 
 def from_simulation(config: Config, played: Played) -> list[Comparison]:
     """Compare the simulated handle's acceleration under the commanded forces with the library."""
-    rate_hz = played.rate_hz * PARTS_PER_PERIOD
-    sim = new_sim(config.device.sim, rate_hz)
-    force = np.repeat(played.force_n, PARTS_PER_PERIOD, axis=0)
-    motion = np.empty((len(force), 4))
-    lib.hd_sim_drive(sim, pointer("double[]", force), len(force), pointer("double[]", motion))
-    acceleration = np.diff(motion[:, 2 + played.along]) * rate_hz
+    rate_hz, link = played.rate_hz * PARTS_PER_PERIOD, config.device.sim.link
+    waits = waiting_ticks(link, played.rate_hz)
+    accelerations = [_driven(config.device.sim, played, wait, rate_hz) for wait in waits]
 
     def measured(strike: Strike, begin: int) -> tuple[float, float]:
-        onset = arrival(config.device.sim.link, begin, played.rate_hz)
         count = round((5.0 / strike.mode.decay_rate_per_s + SIMULATION_TAIL_S) * rate_hz)
-        return _compared(acceleration[onset : onset + count], strike, rate_hz, played)
+        found = []
+        for wait, acceleration in zip(waits, accelerations, strict=True):
+            onset = arrival(link, wait + begin, played.rate_hz)
+            found.append(_compared(acceleration[onset : onset + count], strike, rate_hz, played))
+        return over_phases(found)
 
     return _comparisons(played, measured)
+
+
+def _driven(sim: Sim, played: Played, wait: int, rate_hz: float) -> Floats:
+    """Return the acceleration of the simulated handle under the forces, delayed by `wait` ticks, at `rate_hz`."""
+    force = np.repeat(np.pad(played.force_n, ((wait, 0), (0, 0))), PARTS_PER_PERIOD, axis=0)
+    motion = np.empty((len(force), 4))
+    lib.hd_sim_drive(new_sim(sim, rate_hz), pointer("double[]", force), len(force), pointer("double[]", motion))
+    acceleration: Floats = np.diff(motion[:, 2 + played.along]) * rate_hz
+    return acceleration
 
 
 def from_recording(played: Played, recording: Recording) -> list[Comparison]:
@@ -219,16 +235,34 @@ def from_recording(played: Played, recording: Recording) -> list[Comparison]:
     return _comparisons(played, measured)
 
 
-def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
-    """Return the time at which the force of tick `begin` begins at the actuator, in 1/PARTS_PER_PERIOD of a period.
+def waiting_ticks(link: Link | None, rate_hz: float) -> list[int]:
+    """Return the ticks before the first force, one for each onset within a frame of the link that is compared."""
+    if link is None or link.rate_hz >= rate_hz:
+        return [0]
+    return [round(phase * rate_hz / link.rate_hz / LINK_PHASES) for phase in range(LINK_PHASES)]
 
-    Over a link the force waits for the next frame, and for the link's delay.
+
+def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
+    """Return the time at which a waveform that begins at tick `begin` acts, in 1/PARTS_PER_PERIOD of a period.
+
+    Over a link the force waits for the next frame, and for the link's delay. A link that is slower than the servo sends
+    the force of the last tick before a frame, which is one period old, or less if frames do not begin at ticks.
     """
     onset = begin * PARTS_PER_PERIOD
     if link is None:
         return onset
     frame = rate_hz * PARTS_PER_PERIOD / link.rate_hz
-    return round((math.floor(onset / frame * (1 + 1e-12)) + link.delay_frames) * frame)
+    if link.rate_hz >= rate_hz:
+        return round((math.floor(onset / frame * (1 + 1e-12)) + link.delay_frames) * frame)
+    # The ages of the forces, in periods, are 1/n, 2/n, ... 1, if n frames last a whole number of periods.
+    frames = Fraction(rate_hz / link.rate_hz).limit_denominator(MAX_FRAMES_TO_TICK).denominator
+    return round(onset + (link.delay_frames - 1) * frame + PARTS_PER_PERIOD * (1 + 1 / frames) / 2)
+
+
+def over_phases(compared: list[tuple[float, float]]) -> tuple[float, float]:
+    """Return the RMS of the errors and the mean of the strengths of a strike that began at several times in a frame."""
+    errors, strengths = zip(*compared, strict=True)
+    return root_mean_square(errors), sum(strengths) / len(strengths)
 
 
 def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) -> tuple[float, float]:
@@ -238,7 +272,7 @@ def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) 
 
 def compared(measured: Floats, reference: Floats, rate_hz: float, output: Output) -> tuple[float, float]:
     """Return error and strength (see Comparison) of an acceleration (n,) from the onset, relative to `reference`."""
-    high_hz = ERROR_BAND_RATE_FRACTION * min(output.rate_hz, rate_hz)
+    high_hz = ERROR_BAND_RATE_FRACTION * min(output.carried_hz, rate_hz)
     error = band_error(measured, reference, rate_hz, ERROR_BAND_LOW_HZ, high_hz)
     one, other = (band_lines(each, rate_hz, ERROR_BAND_LOW_HZ, high_hz) for each in (measured, reference))
     return error, float(np.vdot(other, one).real / np.vdot(other, other).real)
@@ -334,17 +368,16 @@ def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_
     rate_hz, material = config.servo.rate_hz, config.materials[first.material]
     lasting_s = max(5.0 / strike.mode.decay_rate_per_s for strike in strikes) + SIMULATION_TAIL_S
     force = tap_force(config, first.material, speed_m_per_s, round(lasting_s * rate_hz), axis=axis)
-    moved = acceleration_on(config.device.sim, force, rate_hz, material.stiffness_n_per_m, axis)
-    onset = arrival(config.device.sim.link, 0, rate_hz)
-    count = len(moved) - onset
-    reference = sum(
-        each.coefficient_m_per_s2 * waveform(each.mode, count, rate_hz * PARTS_PER_PERIOD) for each in strikes
-    )
     assert material.tap is not None
     # A tap pushes along the wall's normal n, along its tangent (n_y, -n_x), or in a direction between them.
     across, along = material.tap.aim
     towards = (across, -along) if axis == "x" else (along, across)
-    error, strength = compared(
-        moved[onset:] @ np.array(towards), np.asarray(reference), rate_hz * PARTS_PER_PERIOD, output
-    )
+    link, fine_hz, found = config.device.sim.link, rate_hz * PARTS_PER_PERIOD, []
+    for wait in waiting_ticks(link, rate_hz):
+        waited = np.pad(force, ((wait, 0), (0, 0)))
+        moved = acceleration_on(config.device.sim, waited, rate_hz, material.stiffness_n_per_m, axis)
+        moved = moved[arrival(link, wait, rate_hz) :] @ np.array(towards)
+        reference = sum(each.coefficient_m_per_s2 * waveform(each.mode, len(moved), fine_hz) for each in strikes)
+        found.append(compared(moved, np.asarray(reference), fine_hz, output))
+    error, strength = over_phases(found)
     return Comparison(first, shown.frequency_hz, float(np.hypot(*force.T).max()), error, strength)

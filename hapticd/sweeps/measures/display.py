@@ -22,8 +22,9 @@ class DisplayedErrorOptions(Model):
 class DisplayedError:
     """RMS difference of the handle's acceleration and the tap's waveform, as a fraction of the RMS of the waveform.
 
-    The error is computed from 30 Hz to 0.4 of the servo rate (docs/accuracy.md), for a tap that begins at a tick while
-    nothing is touched. It is None if the frequency of the mode is too high for the rate of the servo or the link.
+    The error is computed from 30 Hz to 0.4 of the rate of servo or link (docs/accuracy.md), for a tap that begins at a
+    tick, or at any time within a frame of a slower link, while nothing is touched. It is None if the frequency of the
+    mode is too high for these rates.
     """
 
     needs_run = False
