@@ -76,7 +76,7 @@ from hapticd.protocol.validation import (
 )
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
-from hapticd.rendering.placement import Point, held_problem, holding, is_put_there, placement_warnings
+from hapticd.rendering.placement import Point, held_problem, holding, leaps_onto, placement_warnings
 from hapticd.system.repeated_lines import MIN_REPEAT_INTERVAL_S, Repeats
 
 _MAX_PARAM_MEMBERS: Final = 16
@@ -124,6 +124,15 @@ _MOVE_OR_FORCE: Final = (
 )
 """End of a problem with an object that would hold the handle deep inside."""
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
+
+
+def _to_place(new: _Proposed) -> tuple[Mapping[str, SceneObject], Path]:
+    """Return the objects of a change, or those of its changed materials, and their place in the request or scene."""
+    if new.objects or not new.sent:
+        return new.objects, new.root
+    sent = frozenset(new.sent)
+    touched = {id: item for id, item in new.scene.objects.items() if not sent.isdisjoint(material_names(item))}
+    return touched, ("scene", "objects")
 
 
 def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
@@ -290,13 +299,16 @@ class Methods:
             if problems:
                 raise InvalidError(problems)
             reports = yield from engine.prepared(new.objects.values(), new.materials, new.sent)
-        handle_m = self._handle_m()
-        placed = self._placement_warnings(new, handle_m)
-        if not (isinstance(params, SceneChangeParams) and params.force):
-            self._refuse_to_hold(new, handle_m)
+        handle_m, (objects, root) = self._handle_m(), _to_place(new)
+        held = holding(new.scene, objects, new.materials, engine.reach, handle_m)
+        if held and new.objects and not (isinstance(params, SceneChangeParams) and params.force):
+            self._refuse_to_hold(new, held, handle_m)
+        placed = placement_warnings(
+            new.scene, new.materials, engine.reach, objects=objects, root=root, handle_m=handle_m, held=held
+        )
         revision = engine.take(new.scene, new.materials, new.changed, params.expect_revision)
         shown = change_warnings(new.objects, new.sent, reports, new.root, engine.played())
-        warnings = [*new.dropped, *placed, *shown]
+        warnings = [*new.dropped, *islice(placed, MAX_FAULTS), *shown]
         return _Changed(revision, params.wait, warnings[:MAX_FAULTS], engine.margins(touched=True))
 
     def _handle_m(self) -> Point:
@@ -304,32 +316,19 @@ class Methods:
         newest = None if self._read_state is None else self._read_state()
         return self._engine.reach.rest_m if newest is None else cast(Point, newest["position_m"])
 
-    def _placement_warnings(self, new: _Proposed, handle_m: Point) -> list[Problem]:
-        """Return at most MAX_FAULTS warnings of where the objects of a change lie, or those of a changed material."""
-        objects, root = new.objects, new.root
-        if not objects and new.sent:
-            sent = frozenset(new.sent)
-            objects = {id: item for id, item in new.scene.objects.items() if not sent.isdisjoint(material_names(item))}
-            root = ("scene", "objects")
-        if not objects:
-            return []
-        reach = self._engine.reach
-        placed = placement_warnings(new.scene, new.materials, reach, objects=objects, root=root, handle_m=handle_m)
-        return list(islice(placed, MAX_FAULTS))
-
-    def _refuse_to_hold(self, new: _Proposed, handle_m: Point) -> None:
-        """Raise MethodError if forces are on, and a new or moved object would hold the handle deep inside."""
+    def _refuse_to_hold(self, new: _Proposed, held: Collection[str], handle_m: Point) -> None:
+        """Raise MethodError if forces are on, and a new or moved object of those that hold the handle is `held`."""
         engine, counters, before = self._engine, self._engine.counters(), self._engine.scene
-        if not new.objects or not new.scene.display.force or not counters.forces_on or counters.latched:
+        if not counters.forces_on or counters.latched:
             return
         known = before.objects if before.display.force else {}
         problems = [
             Problem(
                 path_text((*new.root, id)),
-                held_problem(new.objects[id], new.materials, engine.reach, handle_m) + _MOVE_OR_FORCE,
+                held_problem(item, new.materials, engine.reach, handle_m) + _MOVE_OR_FORCE,
             )
-            for id in holding(new.objects, new.materials, engine.reach, handle_m)
-            if is_put_there(new.objects[id], known.get(id), engine.reach, handle_m)
+            for id, item in new.objects.items()
+            if id in held and leaps_onto(item, known.get(id), engine.reach, handle_m)
         ]
         if problems:
             raise MethodError.faulty(problems[:MAX_FAULTS], Code.HANDLE_INSIDE)

@@ -114,15 +114,16 @@ class CompiledScene:
         samples: Samples,
         events: Events,
         truth: Floats | None,
-        placed: Iterable[Problem],
+        path_m: Floats,
+        path_name: str,
         unstable: Iterable[Problem] = (),
     ) -> Run:
-        """Return a Run with these results and the scene's warnings, to which `placed` and `unstable` are added.
+        """Return a Run with these results and the scene's warnings, to which `unstable` is added.
 
-        `placed`: implausible positions.
+        `path_m` (n, 2) are the positions of the probe or the hand, from the argument `path_name`.
         """
         objects, materials = self.config.scene.objects, self.config.materials
-        placed = tuple(placed)
+        placed = self._placement_warnings(path_m, path_name)
         shown = materials_in(objects, materials)
         figures = (problem for name, material in shown.items() for problem in figure_warnings(name, material))
         return Run(
@@ -135,6 +136,15 @@ class CompiledScene:
             (*placed, *figures),
             self.rate_hz,
         )
+
+    def _placement_warnings(self, path_m: Floats, path_name: str) -> list[Problem]:
+        """Return the warning of a path, shape (n, 2), that is far away, or of the objects that it begins in."""
+        reach = Reach.of(self.config)
+        far = far_positions(path_m, reach, path_name)
+        if far or not len(path_m):
+            return far
+        begun = reach._replace(rest_m=(float(path_m[0, 0]), float(path_m[0, 1])))
+        return list(islice(placement_warnings(self.config.scene, self.config.materials, begun), MAX_FAULTS))
 
 
 def new_state_of(slots: int) -> CData:
@@ -429,13 +439,7 @@ def render_run(
             found,
         ),
     )
-    reach = Reach.of(scene.config)
-    placed = far_positions(positions, reach, "position_m")
-    if count and not placed:
-        start_m = (float(positions[0, 0]), float(positions[0, 1]))
-        near = placement_warnings(scene.config.scene, scene.config.materials, reach._replace(rest_m=start_m))
-        placed = list(islice(near, MAX_FAULTS))
-    return scene.run_of(samples, events, None, placed)
+    return scene.run_of(samples, events, None, positions, "position_m")
 
 
 def simulate(
@@ -480,13 +484,7 @@ def simulate_run(
     lasting_s = _duration(float(path[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
     unstable = scene.stability().problems() if check_stability else ()
     samples, truth, events = Simulation(scene, path.tolist(), operator.interpolation).run(lasting_s)
-    reach = Reach.of(scene.config)
-    start_m = (float(path[0, 1]), float(path[0, 2]))
-    placed = [
-        *far_positions(path[:, 1:], reach, "waypoints"),
-        *placement_warnings(scene.config.scene, scene.config.materials, reach._replace(rest_m=start_m)),
-    ]
-    return scene.run_of(samples, events, truth, placed[:MAX_FAULTS], unstable)
+    return scene.run_of(samples, events, truth, path[:, 1:], "waypoints", unstable)
 
 
 def _operator(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Final, NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -23,12 +23,12 @@ from hapticd.rendering.plausibility import field_problem
 
 Point: TypeAlias = tuple[float, float]
 
-MOTION_SHARE: Final = 0.25
+MAX_MOTION_FRACTION: Final = 0.25
 """A kept object that comes nearer by no more than this part of the half travel has moved; farther, it was put there."""
 SPRING_FORCE_RATIO: Final = 2.0
 """A spring holds the handle if it asks for more than this multiple of the largest force: springs that guide ask for it
 now and then."""
-FAR_SHARE: Final = 10.0
+FAR_DISTANCE_RATIO: Final = 10.0
 """Positions farther from the middle than this multiple of the half travel are reported as implausible."""
 _ROUNDING_ERROR_M: Final = 1e-9
 """A smaller distance is due to rounding."""
@@ -70,21 +70,25 @@ def depth_m(item: SceneObject, at_m: Point) -> float:
 
 
 def holding(
-    objects: Mapping[str, SceneObject], materials: Mapping[str, Material], reach: Reach, at_m: Point
-) -> Iterator[str]:
-    """Yield the ids of the objects that hold a handle at a point deep inside."""
-    for id, item in objects.items():
-        depth = depth_m(item, at_m)
-        limit_n = reach.max_force_n * (SPRING_FORCE_RATIO if item.kind == "spring" else 1.0)
-        if depth > 0.0 and _stiffness_at(item, materials, at_m) * depth > limit_n:
-            yield id
+    scene: Scene, objects: Mapping[str, SceneObject], materials: Mapping[str, Material], reach: Reach, at_m: Point
+) -> frozenset[str]:
+    """Return the ids of those of the scene's `objects` that hold a handle at a point deep inside."""
+    if not scene.display.force:
+        return frozenset()
+    return frozenset(id for id, item in objects.items() if _holds(item, materials, reach, at_m))
 
 
-def is_put_there(item: SceneObject, before: SceneObject | None, reach: Reach, at_m: Point) -> bool:
+def _holds(item: SceneObject, materials: Mapping[str, Material], reach: Reach, at_m: Point) -> bool:
+    depth = depth_m(item, at_m)
+    limit_n = reach.max_force_n * (SPRING_FORCE_RATIO if item.kind == "spring" else 1.0)
+    return depth > 0.0 and _stiffness_at(item, materials, at_m) * depth > limit_n
+
+
+def leaps_onto(item: SceneObject, before: SceneObject | None, reach: Reach, at_m: Point) -> bool:
     """Return whether an object has come over a point in one leap: it is new, or was much less deep `before`."""
     if before is None or before.kind != item.kind:
         return True
-    return depth_m(item, at_m) - depth_m(before, at_m) > MOTION_SHARE * reach.half_travel_m
+    return depth_m(item, at_m) - depth_m(before, at_m) > MAX_MOTION_FRACTION * reach.half_travel_m
 
 
 def held_problem(
@@ -130,15 +134,16 @@ def placement_warnings(
     objects: Mapping[str, SceneObject] | None = None,
     root: Path = ("scene", "objects"),
     handle_m: Point | None = None,
+    held: Collection[str] | None = None,
 ) -> Iterator[Problem]:
     """Yield a warning for each object of a scene that is out of reach, holds the handle, or has implausible figures.
 
     `objects`: only these objects of the scene. Paths begin with `root`. `handle_m` is where the handle is, by default
-    its position at the start.
+    its position at the start. `held` are the objects that hold it there (`holding`), if they are known.
     """
     at_m, handle = (reach.rest_m, "the handle at rest") if handle_m is None else (handle_m, "the handle")
     objects = scene.objects if objects is None else objects
-    held = frozenset(holding(objects, materials, reach, at_m) if scene.display.force else ())
+    held = holding(scene, objects, materials, reach, at_m) if held is None else held
     for id, item in objects.items():
         place: Path = ()
         problem = held_problem(item, materials, reach, at_m, handle) if id in held else None
@@ -152,7 +157,7 @@ def placement_warnings(
 def far_positions(position_m: npt.NDArray[np.float64], reach: Reach, name: str) -> list[Problem]:
     """Return a warning of positions, shape (n, 2), of which one is far beyond the range of the handle; else []."""
     farthest_m = float(np.abs(position_m).max(initial=0.0))
-    if farthest_m <= FAR_SHARE * reach.half_travel_m:
+    if farthest_m <= FAR_DISTANCE_RATIO * reach.half_travel_m:
         return []
     problem = (
         f"has positions of up to {farthest_m:.4g} m, and the handle reaches {reach.half_travel_m:g} m from the middle: "
@@ -218,7 +223,7 @@ def _in_mm(item: SceneObject, reach: Reach) -> str:
     if item.kind == "viscous" or item.kind == "constant":
         return ""
     key, point_m = ("point_m", item.point_m) if item.kind == "wall" else ("center_m", item.center_m)
-    if not FAR_SHARE * reach.half_travel_m < max(map(abs, point_m)) <= reach.half_travel_m / _M_PER_MM:
+    if not FAR_DISTANCE_RATIO * reach.half_travel_m < max(map(abs, point_m)) <= reach.half_travel_m / _M_PER_MM:
         return ""
     x, y = (_M_PER_MM * each for each in point_m)
     return f"; if {key} is in mm, write [{x:.4g}, {y:.4g}]"

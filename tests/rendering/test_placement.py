@@ -14,7 +14,7 @@ from hapticd.analysis.check import check
 from hapticd.config.configuration import Config, load_config
 from hapticd.daemon.engine import Engine
 from hapticd.rendering.offline import render_run, simulate_run
-from hapticd.rendering.placement import Reach, depth_m, holding, is_put_there, placement_warnings, unreachable_problem
+from hapticd.rendering.placement import Reach, depth_m, holding, leaps_onto, placement_warnings, unreachable_problem
 
 HALF_M = 0.075
 REACH = Reach(HALF_M, 8.9, (0.0, 0.0))
@@ -72,8 +72,8 @@ def test_the_stiffness_is_that_of_the_patch_at_the_handle() -> None:
     patched = {**WALL, "point_m": [0, 0.02], "patches": [{"from_m": -0.01, "to_m": 0.01, "material": "soft"}]}
     source = {"materials": {"soft": {"stiffness_n_per_m": 100}}, "scene": {"objects": {"it": patched}}}
     config = load_config(source)
-    for x, held in ((0.0, []), (0.02, ["it"]), (-0.02, ["it"])):
-        assert list(holding(config.scene.objects, config.materials, REACH, (x, 0.0))) == held
+    for x, held in ((0.0, set()), (0.02, {"it"}), (-0.02, {"it"})):
+        assert holding(config.scene, config.scene.objects, config.materials, REACH, (x, 0.0)) == held
 
 
 def points_of(item: dict[str, Any], random: np.random.Generator) -> npt.NDArray[np.float64]:
@@ -124,11 +124,11 @@ def test_the_depth_is_that_of_the_rendered_contact() -> None:
 def test_a_kept_object_that_comes_a_short_way_has_moved() -> None:
     old, near, far = (config_of({**WALL, "point_m": [0, y]}).scene.objects["it"] for y in (-0.001, 0.017, 0.019))
     disc = config_of({"kind": "disc", "center_m": [0, 0], "radius_m": 0.02, "material": "wood"}).scene.objects["it"]
-    assert not is_put_there(near, old, REACH, (0.0, 0.0))
-    assert is_put_there(far, old, REACH, (0.0, 0.0))
-    assert not is_put_there(far, far, REACH, (0.0, 0.0))
-    assert is_put_there(near, None, REACH, (0.0, 0.0))
-    assert is_put_there(disc, near, REACH, (0.0, 0.0))
+    assert not leaps_onto(near, old, REACH, (0.0, 0.0))
+    assert leaps_onto(far, old, REACH, (0.0, 0.0))
+    assert not leaps_onto(far, far, REACH, (0.0, 0.0))
+    assert leaps_onto(near, None, REACH, (0.0, 0.0))
+    assert leaps_onto(disc, near, REACH, (0.0, 0.0))
 
 
 def test_the_reach_is_that_of_the_device() -> None:
