@@ -307,7 +307,8 @@ def run(options: Options, advance: Advance) -> Section:
             f"{sim.hand.damping_n_s_per_m:g} N s/m) presses the default joystick ({sim.handle_mass_kg:g} kg, encoder "
             f"{1e6 * sim.encoder_step_m:g} um) onto a wall and holds it; a second later the handle must move by less "
             f"than {1e6 * WORST_MOTION_M:g} um. A late force acts as negative damping: stiffness times the force's "
-            "age. If that exceeds the damping of hand and handle, to which dry friction adds, the wall buzzes.",
+            "age. If that exceeds the damping of hand and handle, to which dry friction adds, the wall buzzes. "
+            "Another hand may make another wall buzz: `hapticd check` reports what is safe in any hand.",
             _displayed(materials, advance),
             f"Materials: a hand that no force deflects taps, punctures ({TAP_M_PER_S:g} m/s) and strokes "
             f"({STROKE_M_PER_S:g} m/s, 1 N). The table shows the error of the actuator's force, and its delay. The "
