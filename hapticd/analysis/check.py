@@ -51,6 +51,13 @@ NOTED_TAP_SPEED_M_PER_S: Final = 0.1
 """Approach speed for which the report gives the depth that a compensated tap needs."""
 _STEP_UNKNOWN_TEXT: Final = "the encoder's step is not known"
 """Reason in a report why the stability is unknown."""
+_REPLAY_TEXT: Final = "a recording does not react to forces"
+"""Reason in a report why the stability of a recording is unknown."""
+_SIMULATED_TEXT: Final = (
+    "to compute the loop without the joystick, set device.kind: sim, device.sim.encoder_step_m and "
+    "device.sim.link.rate_hz"
+)
+"""Remedy in a report on a joystick that is not connected."""
 _LINK_UNKNOWN_TEXT: Final = (
     "not set, and the joystick is not connected: vibrations are checked at the servo's rate, but the link may carry "
     "fewer forces per second; an interval of 4 ms carries 250 reports per second, and a force takes one report per "
@@ -233,8 +240,8 @@ def _device(config: Config, offline: bool) -> _Device:
         try:
             read_replay(device.replay, device.hid)
         except InvalidError as error:
-            return _Device(f"a recording: {error}", _STEP_UNKNOWN_TEXT, undrivable=tuple(error.problems))
-        return _Device("a recording, which forces do not move", "a recording does not react to forces")
+            return _Device("a recording, which cannot be read", _REPLAY_TEXT, undrivable=tuple(error.problems))
+        return _Device("a recording, which forces do not move", _REPLAY_TEXT)
     hid = device.hid
     handle = "" if device.handle is not None else "; device.handle is not set"
     away = _Device(
@@ -250,7 +257,12 @@ def _device(config: Config, offline: bool) -> _Device:
     except HapticdError as error:
         notes = () if hid.max_rate_hz is not None else (Problem("device.hid.max_rate_hz", _LINK_UNKNOWN_TEXT),)
         absent = () if offline else (Problem("device.hid", f"{error}; to check without it: hapticd check --offline"),)
-        return away._replace(words=f"not connected: {error}{handle}", undrivable=absent, notes=notes)
+        return away._replace(
+            words=f"not connected: {error}{handle}",
+            unknown=f"{away.unknown}; {_SIMULATED_TEXT}",
+            undrivable=absent,
+            notes=notes,
+        )
     name = f"{found.name} at {found.path}{handle}"
     try:
         _, plan = found.verdict.driver_and_plan()

@@ -20,7 +20,7 @@ _MAX_SHOWN_NAMES = 20
 """Largest number of known names that a message lists."""
 _MAX_COMPARED_NAMES = 64
 """In a longer list of known names, similar names are not searched: each costs a comparison."""
-_MAX_SHOWN_PROBLEMS = 50
+MAX_SHOWN_PROBLEMS = 50
 """Largest number of faults that a message lists; the others are counted."""
 _LOCATION_PATTERN = re.compile(r"(.+?):(\d+):(\d+)(?:: |$)")
 """FILE:LINE:COLUMN at the beginning of `Problem.where`."""
@@ -64,8 +64,8 @@ def in_order(problems: Iterable[Problem]) -> tuple[Problem, ...]:
 
 def lines_of(problems: Sequence[Problem]) -> list[str]:
     """Return a line for each of the first 50 faults, and a line with the number of the others."""
-    hidden = len(problems) - _MAX_SHOWN_PROBLEMS
-    return [*map(str, problems[:_MAX_SHOWN_PROBLEMS]), *([f"and {hidden} more"] if hidden > 0 else [])]
+    hidden = len(problems) - MAX_SHOWN_PROBLEMS
+    return [*map(str, problems[:MAX_SHOWN_PROBLEMS]), *([f"and {hidden} more"] if hidden > 0 else [])]
 
 
 def collapse_whitespace(text: str) -> str:

@@ -4,6 +4,7 @@ Models are immutable and strict: a number is a number (neither "1" nor true), fi
 key is an error. The limits are far outside what a hand can feel; they keep products of values from overflowing.
 """
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sized
 from contextlib import contextmanager
@@ -304,8 +305,12 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
     if kind == "union_tag_invalid":
         text, value = f"should be one of {context['expected_tags']}", context["tag"]
     key = next((part for part in reversed(path) if isinstance(part, str)), "")
-    is_length = key.endswith("_m") and not key.endswith("_per_m")
-    if kind == "less_than_equal" and is_length and value / 1e3 <= context["le"]:
+    is_length = (key.endswith("_m") and not key.endswith("_per_m")) or (key == "waypoints" and path[-1] != 0)
+    if (
+        kind in ("less_than_equal", "greater_than_equal")
+        and is_length
+        and context.get("ge", -math.inf) <= value / 1e3 <= context.get("le", math.inf)
+    ):
         return path, f"{text}, is {shown(value)}; if it is in mm, write {value / 1e3:g}"
     return path, text if kind in _KINDS_WITHOUT_VALUE else f"{text}, is {shown(value)}{_advice(value)}"
 

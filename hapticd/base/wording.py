@@ -31,6 +31,14 @@ def number(value: float, digits: int = DEFAULT_DIGITS) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
+def below(limit: float, value: float, digits: int = DEFAULT_DIGITS) -> str:
+    """Format a limit > 0, at most `value`, so that it reads as lower than `value`: 40 and 40.001 -> 39.99."""
+    text = f"{limit:.{digits}g}"
+    if text != f"{value:.{digits}g}":
+        return text
+    return f"{limit - 10.0 ** (math.floor(math.log10(limit)) + 1 - digits):.{digits}g}"
+
+
 def count(amount: int, thing: str, things: str | None = None) -> str:
     """Format a count: 1 period; 12,340 periods; 0 periods. `things` is the plural if an added s does not form it."""
     return f"{amount:,} {thing if amount == 1 else things or thing + 's'}"

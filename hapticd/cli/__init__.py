@@ -1,8 +1,7 @@
 """The command line. The module of a command is imported when the command is used.
 
-Exit codes: 0 for success; 1 if the command failed or its output cannot be written; 2 for a usage error; 130 for Ctrl-C;
-141 if nobody reads the output any more.
-With 1 and 2 one line on stderr states the error (see `failure`).
+Exit codes: 0 for success; 1 if the command failed or its output cannot be written; 2 for a usage error; 130 for
+Ctrl-C; 141 if nobody reads the output any more. With 1 and 2 one line on stderr states the error (see `failure`).
 
 `_MODULE_BY_COMMAND` maps each command to its file. The other files:
 
@@ -53,16 +52,16 @@ _COMMANDS_BY_SECTION: Final = {
     "Offline": {"recordings": "simulate replay", "displayed": "check", "fit": "fit"},
     "Studies": {"experiment": "experiment", "sweep": "sweep"},
     "Device": {"devices": "devices", "displayed": "calibrate verify"},
-    "Machine": {"machine": "doctor install-service"},
-    "": {"machine": "bench completion paths schema stop-device"},
+    "Machine": {"machine": "doctor install-service bench completion paths schema stop-device"},
 }
-"""Commands by module and section, as `hapticd --help` lists them. Those without a section are hidden."""
+"""Commands by module and section, as `hapticd --help` lists them, without those that are hidden."""
 _MODULE_BY_COMMAND: Final = {
     name: module
     for modules in _COMMANDS_BY_SECTION.values()
     for module, names in modules.items()
     for name in names.split()
 }
+_FORMER_COMMANDS: Final = {"flight": "`hapticd record --past FILE`", "recover": "`hapticd record --recover FILE`"}
 
 
 class _LazyGroup(click.Group):
@@ -84,9 +83,8 @@ class _LazyGroup(click.Group):
         for section, modules in _COMMANDS_BY_SECTION.items():
             listed = [(name, self.get_command(ctx, name)) for name in " ".join(modules.values()).split()]
             rows = [(name, found.get_short_help_str(width)) for name, found in listed if found and not found.hidden]
-            if rows:
-                with formatter.section(section):
-                    formatter.write_dl(rows)
+            with formatter.section(section):
+                formatter.write_dl(rows)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -94,6 +92,8 @@ class _LazyGroup(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.NoSuchCommand as error:
+            if (now := _FORMER_COMMANDS.get(error.command_name)) is not None:
+                raise click.UsageError(f"No such command '{error.command_name}': it is now {now}", ctx) from None
             # Click suggests only loaded commands, and here no command is loaded.
             raise click.NoSuchCommand(error.command_name, possibilities=_MODULE_BY_COMMAND, ctx=ctx) from None
 
@@ -108,7 +108,7 @@ class _LazyGroup(click.Group):
 
 _ENVIRONMENT_HELP: Final = """\b
 Environment:
-  HAPTICD_CONFIG       Configuration files, separated by colons; used if no -c is given.
+  HAPTICD_CONFIG       Configuration files, separated by colons; -c overrides.
   HAPTICD_RUNTIME_DIR  Directory of the sockets, as --runtime-dir.
 """
 

@@ -84,6 +84,8 @@ def record_command(
     if past or recover:
         if (past and recover) or duration_s is not None or operator is not None or notes:
             raise click.UsageError("--past and --recover cannot be combined, nor with --for, --operator or --note")
+        if recover and overwrite:
+            raise click.UsageError("--recover replaces no file, each recording gets a free name: leave out --overwrite")
         return _recover(file, as_json) if recover else _write_past(file, overwrite, as_json)
     from hapticd.client.record import ended_early, record
     from hapticd.config.shipped_files import file_of

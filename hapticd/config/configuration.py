@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hapticd.base.core import MAX_FORCE_DELAY_FRAMES
 from hapticd.base.errors import InvalidError, Path, Problem, shown
@@ -30,6 +30,8 @@ Compensation: TypeAlias = Literal["off", "mass", "full"]
 """Dynamics for which strikes are compensated: none; the mass; mass, spring and damper of handle and hand."""
 ActuatorForce: TypeAlias = Annotated[float, Field(ge=0.01, le=100)]
 """Maximum force of an actuator, in N."""
+_MIN_RATE_HZ: Final = 1000
+_MIN_LINK_RATE_HZ: Final = 10
 
 
 class Overruns(Model):
@@ -47,7 +49,7 @@ class Overruns(Model):
 class Servo(Model):
     """The servo loop and its real-time settings."""
 
-    rate_hz: float = Field(default=10000.0, ge=1000, le=10000, description="Ticks per second.")
+    rate_hz: float = Field(default=10000.0, ge=_MIN_RATE_HZ, le=10000, description="Ticks per second.")
     cpu: Annotated[int, Field(ge=0, le=1023)] | None = Field(
         default=None, description="Processor that the servo runs on; null: any."
     )
@@ -69,6 +71,16 @@ class Servo(Model):
         "streamed hand stays at its last target.",
     )
 
+    @field_validator("rate_hz", mode="before")
+    @classmethod
+    def _not_of_a_link(cls, rate_hz: object) -> object:
+        if isinstance(rate_hz, int | float) and _MIN_LINK_RATE_HZ <= rate_hz < _MIN_RATE_HZ:
+            raise ValueError(
+                f"should be greater than or equal to {_MIN_RATE_HZ}, is {shown(rate_hz)}; a slower simulated joystick "
+                "has device.sim.link.rate_hz"
+            )
+        return rate_hz
+
 
 class Hand(Model):
     """The hand on the simulated handle: a mass on it, pulled to the operator's target by spring and damper."""
@@ -81,7 +93,7 @@ class Hand(Model):
 class Link(Model):
     """A link with frames between the servo and the simulated joystick, like USB."""
 
-    rate_hz: float = Field(ge=10, le=8000, description="Frames per second.")
+    rate_hz: float = Field(ge=_MIN_LINK_RATE_HZ, le=8000, description="Frames per second.")
     delay_frames: int = Field(
         default=1,
         ge=1,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from hapticd.base.errors import shown
 from hapticd.base.model import Model
@@ -271,6 +271,14 @@ class Hid(Model):
     report: VendorReport | None = Field(
         default=None, description="Report formats of a device that is not of the PID class; null for a PID device."
     )
+
+    @field_validator("device_version", mode="before")
+    @classmethod
+    def _bcd(cls, version: object) -> object:
+        if isinstance(version, float) and 0 <= version < 100 and round(version, 2) == version:
+            major, minor = f"{version:05.2f}".split(".")
+            raise ValueError(f"should be an integer, is {shown(version)}; write 0x{major}{minor}")
+        return version
 
     @model_validator(mode="before")
     @classmethod

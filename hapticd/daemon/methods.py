@@ -20,7 +20,16 @@ from pydantic import ValidationError
 from hapticd.base import wording
 from hapticd.base.codec import Encoded
 from hapticd.base.core import Fault
-from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
+from hapticd.base.errors import (
+    MAX_SHOWN_PROBLEMS,
+    HapticdError,
+    InvalidError,
+    Path,
+    Problem,
+    known_names,
+    path_text,
+    quoted,
+)
 from hapticd.base.model import MAX_FAULTS, Model, problems_of
 from hapticd.base.steps import Steps, finish
 from hapticd.config.configuration import Config
@@ -151,11 +160,14 @@ class Methods:
     def __init__(
         self,
         engine: Engine,
-        load: Callable[[], Config] | None = None,
+        load: Callable[[], tuple[Config, str]] | None = None,
         flight: Flight | None = None,
         read_state: Callable[[], dict[str, object] | None] | None = None,
     ) -> None:
-        """Act on `engine`. `load` reads the configuration again, `read_state` returns the newest sample."""
+        """Act on `engine`. `read_state` returns the newest sample.
+
+        `load` reads the configuration again, and returns it with the names of its files as one text.
+        """
         self._engine = engine
         self._load = load
         self._flight = flight
@@ -322,16 +334,20 @@ class Methods:
         if not counters.forces_on or counters.latched:
             return
         known = before.objects if before.display.force else {}
-        problems = [
-            Problem(
-                path_text((*new.root, id)),
-                held_problem(item, new.materials, engine.reach, handle_m) + _MOVE_OR_FORCE,
-            )
+        refused = [
+            id
             for id, item in new.objects.items()
             if id in held and leaps_onto(item, known.get(id), engine.reach, handle_m)
         ]
+        problems = [
+            Problem(
+                path_text((*new.root, id)),
+                held_problem(new.objects[id], new.materials, engine.reach, handle_m) + _MOVE_OR_FORCE,
+            )
+            for id in refused[: MAX_SHOWN_PROBLEMS - 1]
+        ]
         if problems:
-            raise MethodError.faulty(problems[:MAX_FAULTS], Code.HANDLE_INSIDE)
+            raise MethodError.faulty(problems, Code.HANDLE_INSIDE, len(refused))
 
     def _problems_of(self, new: _Proposed) -> list[Problem]:
         """Return the problems of materials that do not exist or are impossible at this rate."""
@@ -422,8 +438,9 @@ class Methods:
         engine = self._engine
         if self._load is None:
             raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")
+        files = ""
         try:
-            config = yield from read_again(self._load)
+            config, files = yield from read_again(self._load)
             fixed = needing_restart(engine.config, config)
             if fixed:
                 raise InvalidError(fixed)
@@ -436,13 +453,13 @@ class Methods:
             changed = yield from self._take(params, proposed)
         except StaleRevisionError:
             raise
-        except MethodError as error:
-            self._log_reload(logging.ERROR, f"not reloaded: {error}")
-            raise
-        except HapticdError as error:
-            self._log_reload(logging.ERROR, f"not reloaded: {error}")
+        except (MethodError, HapticdError) as error:
+            where = f"{files}: " if files else ""  # a fault of a file itself names the file
+            self._log_reload(logging.ERROR, f"not reloaded: {where}{error}")
+            if isinstance(error, MethodError):
+                raise error.below(where) from None
             problems = error.problems if isinstance(error, InvalidError) else (Problem("", str(error)),)
-            raise InvalidError(problems) from None
+            raise InvalidError([Problem(f"{where}{each.where}", each.problem) for each in problems]) from None
         count = wording.count(len(changed_ids), "object")
         self._log_reload(logging.INFO, f"reloaded: revision {changed.revision}, {count} changed")
         return changed
@@ -517,8 +534,13 @@ class Methods:
 
     def _set_forces(self, params: SetForcesParams) -> dict[str, object]:
         self._lease.forget_lapsed()
+        before = self._engine.counters()
         tick = self._engine.set_forces(params.enabled)
-        faults = self._engine.counters().faults
+        after = self._engine.counters()
+        if (after.forces_on and not after.latched) != (before.forces_on and not before.latched):
+            line = f"forces turned {'on' if params.enabled else 'off'} by a command (set_forces)"
+            self.repeats.line("forces", logging.INFO, line, MIN_REPEAT_INTERVAL_S)
+        faults = after.faults
         if params.enabled and faults:
             raise MethodError(Code.FORCES_OFF, self._off_because(faults), {"faults": fault_names(faults)})
         result: dict[str, object] = {"forces": "faulted" if faults else "on" if params.enabled else "off", "tick": tick}

@@ -109,9 +109,12 @@ def _run(
         FlightScene(engine.scene, engine.materials, engine.revision, engine.rate_hz),
         lambda: _about(engine, methods),
     )
-    methods = Methods(
-        engine, lambda: chosen_config(chosen if chosen.files else choose(), rate_hz), flight, lambda: telemetry.state()
-    )
+
+    def load_again() -> tuple[Config, str]:
+        again = chosen if chosen.files else choose()
+        return chosen_config(again, rate_hz), str(again)
+
+    methods = Methods(engine, load_again, flight, lambda: telemetry.state())
     threads.check(threads.DAEMON_THREADS)
     publisher = Publisher(mine.listen(paths.telemetry), TELEMETRY_TOPICS, TELEMETRY_SOCKET_LIMITS.of(connections))
     # Long enough for subscribers to read the last samples, which show that the force is zero.

@@ -19,10 +19,11 @@ _CONFIG_POLL_S: Final = 0.002
 """Longest time that one step of a reload waits for the thread that reads the files."""
 
 
-def read_again(load: Callable[[], Config]) -> Steps[Config]:
+def read_again(load: Callable[[], tuple[Config, str]]) -> Steps[tuple[Config, str]]:
     """Read the configuration in a background thread, and yield while it runs: large files take seconds.
 
-    Raises HapticdError for an invalid configuration, and after CONFIG_LOAD_TIMEOUT_S.
+    Returns the result of `load`: the configuration, and the names of its files as one text. Raises
+    HapticdError for an invalid configuration, and after CONFIG_LOAD_TIMEOUT_S.
     """
     found = in_background("reload", load)
     until_s = time.monotonic() + CONFIG_LOAD_TIMEOUT_S

@@ -87,6 +87,7 @@ class Telemetry:
         self._log = EventLog(
             missing=lambda: engine.granted is not None and bool(engine.granted.missing),
             rate_hz=lambda: engine.rate_hz,
+            simulated=lambda: engine.connection is None,
         )
         self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
         self._sent_samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)

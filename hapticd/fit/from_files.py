@@ -130,7 +130,13 @@ def _fit(kind: Kind, options: FitOptions, recordings: Sequence[Recording], step:
 def _fitted_taps(options: FitOptions, recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
     form: TapKind = options.form or ("mode" if options.of_modes else "auto")
     found = fit_taps(
-        recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded, options.law, options.mode_table
+        recordings,
+        form,
+        lambda recording: step(f"fitting {recording.name}"),
+        excluded,
+        options.law,
+        options.mode_table,
+        options.two_modes is False,
     )
     if isinstance(found, WaveformFit):
         notes = () if form == "waveform" else (AS_WAVEFORM,)
@@ -166,6 +172,7 @@ def fit_taps(
     excluded: Exclusions | None = None,
     law: LawKind | None = None,
     mode_table: bool | None = None,
+    one_mode: bool = False,
 ) -> TapFit | WaveformFit:
     """Fit the taps of one material by modes or by a waveform; the parameters from `progress` on are those of fit_tap.
 
@@ -175,7 +182,7 @@ def fit_taps(
     refuse_duplicates(recordings)
     excluded = Exclusions() if excluded is None else excluded
     if kind == "mode":
-        return fit_tap(recordings, progress, excluded, law, mode_table)
+        return fit_tap(recordings, progress, excluded, law, mode_table, one_mode)
     if kind == "waveform":
         warnings: list[str] = []
         return fit_waveform(pulses_of(recordings, warnings, excluded), warnings, excluded)
@@ -183,7 +190,7 @@ def fit_taps(
     of_mode, of_waveform = excluded.copy(), excluded.copy()
     ringing: TapFit | FitError
     try:
-        ringing = fit_tap(recordings, progress, of_mode, law, mode_table)
+        ringing = fit_tap(recordings, progress, of_mode, law, mode_table, one_mode)
     except FitError as error:
         ringing = error
     found = _better_waveform(ringing, recordings, of_waveform)

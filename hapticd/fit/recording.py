@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Annotated, Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from hapticd.analysis.recordings.clock import (
     COLUMN_OF,
@@ -37,7 +37,7 @@ from hapticd.analysis.recordings.files import (
 )
 from hapticd.analysis.recordings.sensor import Sensor
 from hapticd.analysis.statistics import Floats
-from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names, short_name
+from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names, short_name, shown
 from hapticd.base.files import write_atomically
 from hapticd.base.model import Model, faults_of
 from hapticd.base.units import UNITS_OF, ColumnUnitError, Quantity, factor_of, unit_of
@@ -78,6 +78,13 @@ class RecordedColumn(Model):
     scale: float | None = Field(
         default=None, description="Factor of its numbers, which are in `unit` after it; 1 without it."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_key(cls, data: object) -> object:
+        if isinstance(data, str | int):
+            raise ValueError(f"should be a mapping such as {{column: {short_name(str(data))}}}, is {shown(data)}")
+        return data
 
 
 class RecordingSidecar(Model):

@@ -1097,12 +1097,14 @@ def fit_tap(
     excluded: Exclusions | None = None,
     law: LawKind | None = None,
     mode_table: bool | None = None,
+    one_mode: bool = False,
 ) -> TapFit:
     """Fit modes to the taps of one material.
 
     `progress` is called after each recording. Unusable recordings and taps are added to `excluded`. `law` is the law of
     the amplitude, and `mode_table` whether frequency and decay time are a table over the speed; the taps decide if they
-    are None. Raises FitError (one line) if the recordings do not support a fit.
+    are None. With `one_mode` the verdict is that of a material without the second mode. Raises FitError (one line) if
+    the recordings do not support a fit.
     """
     statistics.require_scipy()
     preparation.refuse_duplicates(recordings)
@@ -1143,13 +1145,15 @@ def fit_tap(
     if second is None:
         second = second_mode(taps, explained, chosen.kind)
     _check_recordings(warnings, recordings, taps, frequency, excluded)
-    _check_mode(warnings, taps, second, explained)
+    two = second is not None and second.kept and not one_mode
+    _check_mode(warnings, taps, second, explained, two)
     modes = _modes_over_speed(warnings, figures, frequency, decay_time, mode_table)
     if outlier:
         warnings.add(False, outlier, "is its speed right?")
     else:
         speed_law.check_law(warnings, chosen)
-    explains = "two modes explain" if second is not None and second.kept else "one mode explains"
+    explains = "two modes explain" if two else "one mode explains"
+    by_material = second.alone if second is not None and second.kept and one_mode else explained
     return TapFit(
         taps=tuple(taps),
         slope_per_s=slope,
@@ -1167,7 +1171,7 @@ def fit_tap(
         second=second,
         warnings=tuple(warnings.lines),
         judged=warnings.verdict(
-            f"{explains} {100 * explained:.1f} % of {len(taps)} taps",
+            f"{explains} {100 * by_material:.1f} % of {len(taps)} taps",
             f"A(v) is {chosen.named} (r^2 {chosen.r_squared:.3f})",
         ),
         left_out=tuple(excluded.items),
@@ -1245,8 +1249,13 @@ def _check_recordings(
     preparation.report_sampling(of_taps, frequency.value, warnings)
 
 
-def _check_mode(warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float) -> None:
-    """Downgrade the verdict if the modes do not explain the taps; one mode explains the fraction `explained`."""
+def _check_mode(
+    warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, two: bool
+) -> None:
+    """Downgrade the verdict if the modes of the material do not explain the taps.
+
+    One mode explains the fraction `explained`. `two`: whether the material has the second mode.
+    """
     noisy = float(np.median([tap.residual_to_noise for tap in taps]))
     if second is not None:
         together = 100 * second.variance_accounted_for
@@ -1255,9 +1264,9 @@ def _check_mode(warnings: Warnings, taps: Sequence[TapHit], second: SecondMode |
             f"{1e3 * second.decay_time_s.value:.3g} ms and {second.ratio.value:.2g} times as strong explains "
             f"{together:.1f} % together with the first, which alone explains {100 * second.alone:.1f} %"
         )
-        poor = second.variance_accounted_for < TAP_LIMITS.well_explained
-        if poor or not second.kept:
-            warnings.add(poor, "the residuals are not noise" if second.kept else f"two explain {together:.1f} %")
+        poor = second.variance_accounted_for < TAP_LIMITS.well_explained or (second.kept and not two)
+        if poor or not two:
+            warnings.add(poor, "the residuals are not noise" if two else f"two explain {together:.1f} %")
     elif explained < TAP_LIMITS.well_explained and noisy > TAP_LIMITS.max_residual_to_noise:
         warnings.add(True, "the residuals are not noise")
     else:

@@ -22,6 +22,7 @@ from hapticd.rendering.displayability import (
     patch_warnings,
     undisplayable,
 )
+from hapticd.rendering.placement import point_in_mm
 from hapticd.rendering.undisplayable_text import Undisplayable, Use
 
 _PATH_BY_MODE: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove": ("texture",)}
@@ -121,6 +122,9 @@ def operator_warnings(waypoints: npt.NDArray[np.float64], workspace_m: float, wh
     if not beyond.any():
         return []
     first = int(np.argmax(beyond))
-    x_m, y_m = waypoints[first, 1:]
-    problem = f"[{x_m:g}, {y_m:g}] is beyond the stops of the handle, {workspace_m:g} m from the middle"
+    x_m, y_m = waypoints[first, 1:].tolist()
+    problem = (
+        f"[{x_m:g}, {y_m:g}] is beyond the stops of the handle, {workspace_m:g} m from the middle"
+        f"{point_in_mm('it', (x_m, y_m), workspace_m)}"
+    )
     return [Problem(f"waypoints[{first}]" if where is None else where, problem)]

@@ -223,7 +223,12 @@ def _in_mm(item: SceneObject, reach: Reach) -> str:
     if item.kind == "viscous" or item.kind == "constant":
         return ""
     key, point_m = ("point_m", item.point_m) if item.kind == "wall" else ("center_m", item.center_m)
-    if not FAR_DISTANCE_RATIO * reach.half_travel_m < max(map(abs, point_m)) <= reach.half_travel_m / _M_PER_MM:
+    return point_in_mm(key, point_m, reach.half_travel_m)
+
+
+def point_in_mm(name: str, point_m: Point, half_travel_m: float) -> str:
+    """Return a hint that a point may be in mm, if it is far away in m and in reach in mm; else ""."""
+    if not FAR_DISTANCE_RATIO * half_travel_m < max(map(abs, point_m)) <= half_travel_m / _M_PER_MM:
         return ""
     x, y = (_M_PER_MM * each for each in point_m)
-    return f"; if {key} is in mm, write [{x:.4g}, {y:.4g}]"
+    return f"; if {name} is in mm, write [{x:.4g}, {y:.4g}]"

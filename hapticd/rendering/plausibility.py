@@ -41,6 +41,10 @@ class Range:
     """The unit that is mistaken for `unit` most often."""
     factor: float
     """Size of `other_unit` in `unit`."""
+    highest_known: float = math.inf
+    """A larger value is not proposed, although none is reported up to `high`."""
+    exception: str = ""
+    """Known materials that have values above `high`."""
 
     def problem(self, value: float) -> str | None:
         """Return the warning of a value outside the range, with the value that it would be if it is in `other_unit`."""
@@ -48,9 +52,11 @@ class Range:
             return None
         compared, limit = ("below", self.low) if value < self.low else ("above", self.high)
         converted = value * self.factor
-        hint = f"; if it is in {self.other_unit}, write {converted:g}" if self.low <= converted <= self.high else ""
+        known = self.low <= converted <= min(self.high, self.highest_known)
+        hint = f"; if it is in {self.other_unit}, write {converted:g}" if known else ""
+        but = f" but {self.exception}" if self.exception and value > self.high else ""
         return (
-            f"a {self.name} of {value:g} {self.unit} is {compared} that of all known materials, "
+            f"a {self.name} of {value:g} {self.unit} is {compared} that of all known materials{but}, "
             f"{limit:g} {self.unit}{hint}"
         )
 
@@ -58,8 +64,9 @@ class Range:
 STIFFNESS_RANGE: Final = Range("stiffness", MIN_STIFFNESS_N_PER_M, MAX_STIFFNESS_N_PER_M, "N/m", "N/mm", 1e3)
 DAMPING_RANGE: Final = Range("damping", 0.0, 200.0, "N s/m", "mN s/m", 1e-3)
 # A frequency that is too high is silent or lowered, and reported as such (displayability.py).
-FREQUENCY_RANGE: Final = Range("frequency", MIN_FREQUENCY_HZ, math.inf, "Hz", "kHz", 1e3)
-DECAY_TIME_RANGE: Final = Range("decay time", 3e-5, 2.0, "s", "ms", 1e-3)
+FREQUENCY_RANGE: Final = Range("frequency", MIN_FREQUENCY_HZ, math.inf, "Hz", "kHz", 1e3, highest_known=5000.0)
+# Bells ring for up to 8 s, and the decay times of taps in ms, taken as s, are from 0.3 to 10 s.
+DECAY_TIME_RANGE: Final = Range("decay time", 3e-5, 2.0, "s", "ms", 1e-3, exception="bells")
 SPACING_RANGE: Final = Range("groove spacing", 2e-5, 0.1, "m", "mm", 1e-3)
 GROOVE_DEPTH_RANGE: Final = Range("groove depth", 1e-6, 0.01, "m", "mm", 1e-3)
 RUPTURE_DEPTH_RANGE: Final = Range("rupture depth", 1e-5, 0.1, "m", "mm", 1e-3)

@@ -24,6 +24,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.base import wording
 from hapticd.config.dynamics import Dynamics, held_motion
 
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -290,7 +291,11 @@ class Margin:
         text = f"{self.stiffness_n_per_m:.4g} N/m"
         if self.damping_n_s_per_m > 0.0:
             text += f" and {self.damping_n_s_per_m:.3g} N s/m"
-        advice = f"up to {self.limit_n_per_m:.4g} N/m would be safe in any hand" if self.limit_n_per_m > 0.0 else ""
+        limit = self.limit_n_per_m
+        advice = ""
+        if limit > 0.0:
+            shown = f"{limit:.4g}" if self.safe else wording.below(limit, self.stiffness_n_per_m)
+            advice = f"up to {shown} N/m would be safe in any hand"
         if self.remedy:
             advice = f"safe in any hand with {self.remedy}"
         if not self.safe and not advice:

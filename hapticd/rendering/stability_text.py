@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from hapticd.base import wording
+
 MAX_EXPLAINED_SETS: Final = 5
 """Maximum number of contact sets that are explained, one line each."""
 _MAX_NAMED_OBJECTS: Final = 4
@@ -50,7 +52,7 @@ def _set_text(margin: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     elif limit > 0.0:
         stiffness = margin["stiffness_n_per_m"]
         text = (
-            f"{which}: {stiffness:.4g} N/m is not below {limit:.4g} N/m, "
+            f"{which}: {stiffness:.4g} N/m is not below {wording.below(limit, stiffness)} N/m, "
             "the limit up to which a wall is proved to be stable in any hand"
         )
         by = "a finer encoder" if margin["limited_by"] == "quantisation" else "a higher servo.rate_hz"

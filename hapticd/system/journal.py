@@ -165,13 +165,15 @@ class EventLog:
         now_s: Callable[[], float] = time.monotonic,
         missing: Callable[[], bool] = lambda: False,
         rate_hz: Callable[[], float] | None = None,
+        simulated: Callable[[], bool] = lambda: False,
     ) -> None:
         """Create the log of the servo's events.
 
         `missing` returns whether requested real-time rights were refused; `rate_hz` returns the servo's present rate.
+        `simulated` returns whether the hand is simulated.
         """
         self._repeats = Repeats(now_s)
-        self._missing, self._rate_hz = missing, rate_hz
+        self._missing, self._rate_hz, self._simulated = missing, rate_hz, simulated
         self._hinted = False
 
     def note(self, event: Mapping[str, object]) -> None:
@@ -185,6 +187,8 @@ class EventLog:
             self._repeats.note(kind, self._overrun, amounts)
             return
         found = _level_and_text(event)
+        if found is not None and kind == "glitch" and self._simulated():
+            found = found[0], f"{found[1]}: is a target of the hand in mm instead of m?"
         if found is not None:
             max_interval_s = MAX_STATE_INTERVAL_S if kind in _STATE_EVENTS else MAX_REPEAT_INTERVAL_S
             self._repeats.line(kind, *found, max_interval_s)

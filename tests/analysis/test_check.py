@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -146,3 +147,27 @@ def test_what_a_scene_does_not_display_is_noted() -> None:
     report = check(load_config({"scene": {"display": {"force": False, "vibration": False}}}))
     assert [note.where for note in report.notes] == ["scene.display.force", "scene.display.vibration"]
     assert report.faults == 0
+
+
+def test_without_the_joystick_the_loop_is_that_of_a_simulated_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hapticd.analysis.check.find", list)
+    away = source()
+    unknown = check(load_config(away)).stability.unknown or ""
+    assert unknown == (
+        "the encoder's step is not known; to compute the loop without the joystick, set device.kind: sim, "
+        "device.sim.encoder_step_m and device.sim.link.rate_hz"
+    )
+    sim = {"encoder_step_m": 5e-5, "link": {"rate_hz": 1000}}
+    assumed = check(load_config({**away, "device": {**away["device"], "kind": "sim", "sim": sim}})).stability.assumed
+    assert assumed is not None and assumed.dynamics.handle_mass_kg == HANDLE["mass_kg"]
+    assert assumed.encoder_step_m == 5e-5
+    del away["device"]["handle"]
+    assert (check(load_config(away)).stability.unknown or "").startswith("device.handle is not given; it needs mass_kg")
+
+
+def test_a_recording_that_cannot_be_read_is_reported_once(tmp_path: Path) -> None:
+    path = tmp_path / "none.txt"
+    report = check(load_config({"device": {"kind": "replay", "replay": {"path": str(path)}}}))
+    assert [str(each) for each in report.refused] == [f"device.replay.path: {path}: No such file or directory"]
+    assert report.device == "a recording, which cannot be read"
+    assert report.stability.unknown == "a recording does not react to forces"

@@ -180,6 +180,13 @@ def test_nan_and_gaps_in_rows_are_refused_by_their_line(tmp_path: Path) -> None:
     assert "line 3 must have 2 columns" in refused(path)
 
 
+def test_a_column_without_its_key_is_refused_with_the_way_to_write_it(tmp_path: Path) -> None:
+    path = write(tmp_path / "tap.csv", {"t": TIME_S, "a": TIME_S})
+    Path(f"{path}.yaml").write_text("columns:\n  time: t\n  force: {column: a}\n")
+    with pytest.raises(InvalidError, match=r":2:3: columns\.time: .* such as \{column: t\}, is \"t\"$"):
+        load(path)
+
+
 @pytest.mark.parametrize(
     ("columns", "beside", "told"),
     [

@@ -125,6 +125,7 @@ def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
         excluded: object,
         law: str | None,
         mode_table: bool | None,
+        one_mode: bool,
     ) -> FakeFit:
         fit = found.fit(recordings, progress, excluded=excluded)
         return fit if law is None else dataclasses.replace(fit, linear=law == "line")

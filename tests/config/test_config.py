@@ -101,11 +101,9 @@ def test_every_number_is_strict_and_has_limits(model: str, key: str, limits: Sch
 
     assert problems(low) == problems(high) == []
     below, above = low - 1, high + 1
-    assert problems(below) == [f"should be greater than or equal to {shown_number(low)}, is {below!r}"]
-    (too_large,) = problems(above)
-    assert too_large.partition("; if it is in mm, write ")[0] == (
-        f"should be less than or equal to {shown_number(high)}, is {above!r}"
-    )
+    (too_small,), (too_large,) = problems(below), problems(above)
+    assert too_small.partition("; ")[0] == f"should be greater than or equal to {shown_number(low)}, is {below!r}"
+    assert too_large.partition("; ")[0] == f"should be less than or equal to {shown_number(high)}, is {above!r}"
     kind = "integer" if limits["type"] == "integer" else "number"
     wrong: list[tuple[Json, str]] = [(True, "true"), ("1", '"1"'), ([], "a list")]
     for value, shown in wrong:
@@ -119,6 +117,36 @@ def test_rates_of_1_hz_and_20_khz_are_refused() -> None:
     assert faults({"servo": {"rate_hz": 20e3}}) == {
         "servo.rate_hz": "should be less than or equal to 10000, is 20000.0"
     }
+
+
+def test_a_rate_of_a_slow_device_names_its_key() -> None:
+    (text,) = faults({"servo": {"rate_hz": 500}}).values()
+    assert text == (
+        "should be greater than or equal to 1000, is 500; a slower simulated joystick has device.sim.link.rate_hz"
+    )
+    link = load_config({"device": {"sim": {"link": {"rate_hz": 500}}}}).device.sim.link
+    assert link is not None and link.rate_hz == 500
+
+
+@pytest.mark.parametrize(
+    ("value", "wanted"), [(1.07, "0x0107"), (12.3, "0x1230"), (1.075, ""), (-1.0, ""), (math.nan, "")]
+)
+def test_a_version_as_lsusb_prints_it_is_given_as_the_device_has_it(value: float, wanted: str) -> None:
+    (text,) = faults({"device": {"hid": {"device_version": value}}}).values()
+    assert text.endswith(f"; write {wanted}") if wanted else "write" not in text
+
+
+@pytest.mark.parametrize(
+    ("y_m", "wanted"),
+    [
+        (-20, "should be greater than or equal to -10, is -20; if it is in mm, write -0.02"),
+        (20, "should be less than or equal to 10, is 20; if it is in mm, write 0.02"),
+        (-20000, "should be greater than or equal to -10, is -20000"),
+    ],
+)
+def test_a_length_beyond_the_limits_may_be_in_mm(y_m: float, wanted: str) -> None:
+    wall = {"kind": "wall", "point_m": [0, y_m], "normal": [0, 1], "material": "wood"}
+    assert faults({"scene": {"objects": {"o": wall}}}) == {"scene.objects.o.point_m[1]": wanted}
 
 
 def test_defaults_have_the_type_of_their_key() -> None:

@@ -75,7 +75,7 @@ def test_waypoints_stay_unchanged() -> None:
             {"waypoints": [[-1, 11, math.nan]]},
             [
                 ("waypoints[0][0]", "should be greater than or equal to 0, is -1"),
-                ("waypoints[0][1]", "should be less than or equal to 10, is 11"),
+                ("waypoints[0][1]", "should be less than or equal to 10, is 11; if it is in mm, write 0.011"),
                 ("waypoints[0][2]", "should be a finite number, is nan"),
             ],
         ),

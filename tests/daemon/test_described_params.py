@@ -116,7 +116,7 @@ class Daemon:
     def __init__(self) -> None:
         self.config = load_config(CONFIG)
         self.engine = Engine(self.config)
-        self.methods = Methods(self.engine, lambda: self.config, read_state=lambda: {"position_m": [0.0, 0.0]})
+        self.methods = Methods(self.engine, lambda: (self.config, ""), read_state=lambda: {"position_m": [0.0, 0.0]})
         self._streamed = itertools.count(1)
 
     def put_back(self) -> None:

@@ -57,7 +57,7 @@ SERVO = {"realtime": "off", "overruns": {"threshold": 1.0}}
 class Daemon:
     """A daemon without sockets: the command thread, step by step."""
 
-    def __init__(self, load: Callable[[], Config] | None = None) -> None:
+    def __init__(self, load: Callable[[], tuple[Config, str]] | None = None) -> None:
         config = load_config({"device": {"kind": "sim"}, "servo": SERVO})
         self.engine = Engine(config)
         self.methods = Methods(self.engine, load)
@@ -178,7 +178,7 @@ def test_reloads_wait_for_other_changes_and_become_one(monkeypatch: pytest.Monke
     monkeypatch.setattr(dispatching.notify, "ready", lambda: notified.append("ready"))
     read, loads = threading.Event(), []
 
-    def load() -> Config:
+    def load() -> tuple[Config, str]:
         loads.append(1)
         assert read.wait(60)
         raise HapticdError("the file was removed")

@@ -479,9 +479,9 @@ def test_memory_stays_locked_when_it_steps_down() -> None:
 def test_a_reload_pauses_while_files_are_read() -> None:
     engine, read = simulated(), threading.Event()
 
-    def load() -> Config:
+    def load() -> tuple[Config, str]:
         assert read.wait(15.0)
-        return engine.config
+        return engine.config, ""
 
     steps = Methods(engine, load).change("reload", {})
     for _ in range(5):
@@ -493,9 +493,9 @@ def test_a_reload_pauses_while_files_are_read() -> None:
 def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
     engine, over = simulated(), threading.Event()
 
-    def load() -> Config:
+    def load() -> tuple[Config, str]:
         over.wait()
-        return engine.config
+        return engine.config, ""
 
     monkeypatch.setattr(reload, "CONFIG_LOAD_TIMEOUT_S", 0.0)
     with pytest.raises(MethodError, match="were not read within 0 s"):

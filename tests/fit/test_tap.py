@@ -438,6 +438,8 @@ def test_two_modes_are_tried_before_a_tap_is_thrown_away(ratios: Floats) -> None
     assert fit.second.ratio.value == pytest.approx(1.0, abs=0.1)
     assert Tap.model_validate(fit.material()["tap"]).second is not None
     assert fit.verdict.startswith("good: two modes explain ")
+    single = fit_tap([ceramic(ratios)], one_mode=True)
+    assert single.verdict.startswith(f"poor: one mode explains {100 * fit.second.alone:.1f} % of 12 taps")
 
 
 @pytest.mark.slow

@@ -323,7 +323,7 @@ def test_reload_is_all_or_nothing(live: tuple[Daemon, Path], text: str | None, w
         refused = subprocess.run(command, capture_output=True, text=True, check=False)
         assert refused.returncode == 1
         assert len(refused.stderr.splitlines()) == 1
-        for word in words:
+        for word in (config.name, *words):
             assert word in refused.stderr
         assert client.get_scene() == before
     assert "not reloaded: " in daemon.said()

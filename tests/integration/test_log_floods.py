@@ -39,6 +39,7 @@ FLOODS: dict[str, Callable[[], bytes]] = {
     'notification "set_scene"': lambda: notification("set_scene", scene={}, expect_revision=10**6 + next(NAMES)),
     'notification "update_materials"': lambda: notification("update_materials", materials={f"m{next(NAMES)}": 1}),
     "reloaded: ": lambda: notification("reload"),
+    "forces turned ": lambda: notification("set_forces", enabled=next(NAMES) % 2 == 0),
 }
 """What the lines begin with, and what makes them."""
 
@@ -58,6 +59,17 @@ def test_a_flood_is_a_line_a_second(daemon: Daemon, line: str) -> None:
         told = lines_of(daemon, before, line)
         assert len(told) <= took_s + 2
         assert counted(told) <= times
+
+
+def test_forces_that_are_turned_on_or_off_are_logged(tmp_path: Path) -> None:
+    with running_daemon() as running, wired(running) as wire:
+        wire.result("set_forces", enabled=True)  # they are on
+        for enabled in (False, False, True, True):
+            wire.result("set_forces", enabled=enabled)
+        until(lambda: len(lines_of(running, 0, "forces turned ")) == 2)
+        off, on = lines_of(running, 0, "forces turned ")
+        assert off.endswith("forces turned off by a command (set_forces)")
+        assert "forces turned on by a command (set_forces) (once in the last " in on
 
 
 @pytest.mark.long

@@ -156,6 +156,10 @@ def test_waypoints_beyond_the_stops_are_told(wire: Wire) -> None:
     (warned,) = wire.result("set_operator", waypoints=[[0, 0, 0.02], [1, 0, 0.3], [2, 0, 0.4]])["warnings"]
     assert warned["where"] == "waypoints[1]"
     assert warned["problem"] == "[0, 0.3] is beyond the stops of the handle, 0.075 m from the middle"
+    (warned,) = wire.result("set_operator", waypoints=[[0, 0, 8]])["warnings"]
+    assert warned["problem"] == (
+        "[0, 8] is beyond the stops of the handle, 0.075 m from the middle; if it is in mm, write [0, 0.008]"
+    )
     assert "warnings" not in wire.result("set_operator", waypoints=[[0, 0, 0.02]])
 
 

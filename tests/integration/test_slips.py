@@ -97,6 +97,14 @@ def test_what_the_hand_feels_already_may_change_freely(client: Client) -> None:
     assert client.set_scene(scene, wait=True)["revision"]
 
 
+def test_of_many_objects_the_first_are_named_and_all_are_counted(client: Client) -> None:
+    with pytest.raises(hapticd.RemoteError) as caught:
+        client.set_scene({"objects": {f"it{place}": SLIPPED for place in range(300)}})
+    assert caught.value.message.endswith(" (and 299 more)")
+    assert str(caught.value).count("it pushes with the device's largest force") == 49
+    assert str(caught.value).endswith("; and 251 more")
+
+
 def test_without_forces_nothing_is_refused(client: Client) -> None:
     client.set_forces(False)
     (warning,) = client.set_scene({"objects": {"it": SLIPPED}})["warnings"]
@@ -149,8 +157,8 @@ def test_a_reload_of_a_slip_needs_force(tmp_path: Path) -> None:
     file.write_text(CONFIG)
     with running_daemon("-c", str(file)) as daemon, hapticd.connect(daemon.directory) as client:
         file.write_text(f"{CONFIG}scene: {{objects: {{it: {json.dumps(SLIPPED)}}}}}\n")
-        refused(client, "reload")
-        until(lambda: "not reloaded: scene.objects.it: the handle" in daemon.said())
+        assert refused(client, "reload")["where"] == f"{file}: scene.objects.it"
+        until(lambda: f"not reloaded: {file}: scene.objects.it: the handle" in daemon.said())
         assert client.reload(force=True)["warnings"][0]["where"] == "scene.objects.it"
 
 

@@ -61,6 +61,18 @@ def test_a_slip_is_reported_with_the_value_that_was_meant(keys: dict[str, Any], 
     assert remedy in problems[f"materials.m.{where}"]
 
 
+def test_a_remedy_is_a_value_that_materials_have() -> None:
+    (problem,) = found(tap={**TAP, "frequency_hz": 12}).values()
+    assert problem == "a frequency of 12 Hz is below that of all known materials, 15 Hz"
+
+
+def test_bells_are_known_to_ring_longer() -> None:
+    (problem,) = found(tap={**TAP, "frequency_hz": 290, "decay_time_s": 7.5}).values()
+    assert problem == "a decay time of 7.5 s is above that of all known materials but bells, 2 s; if it is in ms, " + (
+        "write 0.0075"
+    )
+
+
 @pytest.mark.parametrize(
     "keys",
     [

@@ -59,6 +59,17 @@ def test_a_scene_that_may_oscillate_names_a_remedy() -> None:
     assert one.endswith("Needed: a lower stiffness or a higher servo.rate_hz")
 
 
+def test_a_limit_reads_as_lower_than_the_stiffness() -> None:
+    soft, floor = {"stiffness_n_per_m": 80.001}, {**FLOOR, "material": "soft"}
+    stability = check(
+        load_config({"materials": {"soft": soft}, "device": SLOW, "scene": {"objects": {"floor": floor}}})
+    ).stability
+    _, (_, line) = stability_words(stability.to_dict())
+    assert line.startswith("floor: 80 N/m is not below 79.99 N/m, ")
+    (margin,) = stability.worst
+    assert "up to 79.99 N/m would be safe in any hand" in str(margin)
+
+
 def test_several_sets_are_counted() -> None:
     peg = {"kind": "disc", "center_m": [0.05, 0.05], "radius_m": 0.005, "material": "wood"}
     (_, whole), *rest = words({"floor": FLOOR, "peg": peg}, SLOW)

@@ -204,3 +204,11 @@ def test_only_important_events_are_logged(logged: pytest.LogCaptureFixture) -> N
         logged.clear()
         EventLog(Clock()).note(event_map(event, "x"))
         assert len(logged.messages) == (kind not in silent), kind
+
+
+def test_a_jump_of_a_simulated_hand_may_be_a_target_in_mm(logged: pytest.LogCaptureFixture) -> None:
+    jump = {"event": "glitch", "tick": 1, "time_ns": 0, "speed_m_per_s": 21.5}
+    EventLog(Clock()).note(jump)
+    EventLog(Clock(), simulated=lambda: True).note(jump)
+    line = "the position jumped, at a speed of 21.5 m/s"
+    assert logged.messages == [line, f"{line}: is a target of the hand in mm instead of m?"]
