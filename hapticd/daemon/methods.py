@@ -329,7 +329,7 @@ class Methods:
         return self._engine.reach.rest_m if newest is None else cast(Point, newest["position_m"])
 
     def _refuse_to_hold(self, new: _Proposed, held: Collection[str], handle_m: Point) -> None:
-        """Raise MethodError if forces are on, and a new or moved object of those that hold the handle is `held`."""
+        """Raise MethodError if forces are on, and a new or moved object is one of `held`, which hold the handle."""
         engine, counters, before = self._engine, self._engine.counters(), self._engine.scene
         if not counters.forces_on or counters.latched:
             return
