@@ -33,7 +33,8 @@ from bench import (
     tick,
     web,
 )
-from bench.report import ROOT, Advance, Options, Section, machine
+from bench.report import ROOT, Advance, Options, Section, filled, machine
+from bench.summary import with_summary
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_new
 from hapticd.cli import main
@@ -146,14 +147,11 @@ def _write(found: Found, folder: Path, on: str, complete: bool) -> list[Path]:
     heads = {
         ACCURACY: (
             "Accuracy",
-            "Errors of rendering, display and fitting, against arbitrary precision or a closed form. [Algorithms and "
-            "their alternatives](alternatives.md) compares cost and error of each kernel with other methods, measured "
-            f"once. `make bench` (`hapticd bench`) writes this page. {on} {duration} Variants are measured in turns "
-            "(interleaved) in one process, and ratios are taken round by round within one run. A cost is the median "
-            "over the rounds, with the tenth to the ninetieth percentile in brackets. [Benchmarks](benchmarks.md) has "
-            "the times of wake-ups, commands and scenes. The command at the end of a section repeats the section's "
-            "measurements; the time after it is what they took. Tests in `tests/` assert the errors of the core, with "
-            "margins.",
+            "Errors of rendering, display and fitting, against arbitrary precision or a closed form. `make bench` "
+            f"(`hapticd bench`) writes this page. {on} {duration} The command at the end of a section repeats the "
+            "section's measurements; the time after it is what they took. Tests in `tests/` assert the errors of the "
+            "core, with margins. [Algorithms and their alternatives](alternatives.md) compares cost and error of each "
+            "kernel with other methods, and [Benchmarks](benchmarks.md) has the times.",
         ),
         SPEED: (
             "Benchmarks",
@@ -173,13 +171,12 @@ def _write(found: Found, folder: Path, on: str, complete: bool) -> list[Path]:
             continue
         title, about = heads[page]
         if not complete and (folder / page).exists():
-            (folder / page).write_text(
-                replaced((folder / page).read_text(encoding="utf-8"), sections), encoding="utf-8"
-            )
-            written.append(folder / page)
-            continue
-        text = "\n\n".join([f"# {title}", about, *(section.markdown() for section in sections)])
-        (folder / page).write_text(text + "\n", encoding="utf-8")
+            text = replaced((folder / page).read_text(encoding="utf-8"), sections)
+        else:
+            text = "\n\n".join([f"# {title}", filled(about), *(section.markdown() for section in sections)]) + "\n"
+        if page == ACCURACY and (complete or folder == DOCS) and not found.failed:
+            text = with_summary(text)
+        (folder / page).write_text(text, encoding="utf-8")
         written.append(folder / page)
     return written
 

@@ -250,11 +250,9 @@ def run(options: Options, advance: Advance) -> Section:
     loop = LOOPS["K = 800 N/m"]
     left = [without_hold(loop, rate) for rate in RATES_HZ]
     section.parts.append(
-        "All errors are of first order in T, as expected of a zero-order hold. The force of tick k is held until tick "
-        "k+1, so on average it is T/2 old. A spring whose force comes T/2 late acts like a spring with a damping of -K "
-        "T/2. Damping from the backward difference of positions adds another T/2, so its force is T late in all. The "
-        "servo answers an onset between two ticks at the second of them. A continuous wall with K T/2 less damping "
-        "therefore explains the first order, and the remaining error must be of second order:"
+        "All errors are of first order in T: a held force is T/2 old on average and acts like a damping of -K T/2 "
+        "([why](stability.md#the-proof)); damping from the backward difference of positions is T old. Against a "
+        "continuous wall with K T/2 less damping the error is of second order:"
     )
     rows = [[f"{rate:.0f}", f"{1e6 * value:.3f}"] for rate, value in zip(RATES_HZ, left, strict=True)]
     section.parts.append(

@@ -239,9 +239,9 @@ def run(options: Options, advance: Advance) -> Section:
         walls = _walls(client, between(advance, 0.5, 0.8, "walls"))
         rates = _rates(client, between(advance, 0.8, 0.9, "rates"))
     parts: list[str | Table] = [
-        "A tap moves the default simulated handle (0.04 kg, 0.2 N s/m) in three grips; four compensations compute its "
-        "force. `off`: the wanted acceleration times the mass of handle and hand. `mass`: also corrected for the hold "
-        "of the force from tick to tick. `C alone`: the mode times one complex number C, the inverse of device and "
+        "A tap moves the default simulated handle (0.04 kg, 0.2 N s/m) in three grips, with each "
+        "[compensation](devices.md#compensation-of-strikes). `C alone` is a part of `full`: the mode times one complex "
+        "number C, the inverse of device and "
         "hold at the mode's pole. `full`: C and a tail of further forces after the onset, fitted together by least "
         "squares. The displayed error is that of the handle's acceleration relative to the mode. The onset is at a "
         "tick, as with `play`, except in the columns `any onset`: there a tap begins at any time between two ticks, "

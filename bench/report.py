@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import re
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,7 +44,7 @@ class Table:
     def markdown(self) -> str:
         """Return the table in Markdown; all columns except the first are aligned to the right."""
         rule = "| --- |" + " ---: |" * (len(self.columns) - 1)
-        lines = [self.caption, "", "| " + " | ".join(self.columns) + " |", rule]
+        lines = [filled(self.caption), "", "| " + " | ".join(self.columns) + " |", rule]
         return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in self.rows)])
 
     def rich(self) -> RichTable:
@@ -56,6 +57,11 @@ class Table:
         return table
 
 
+def filled(text: str) -> str:
+    """Return a paragraph in lines of at most 120 columns, as on the other pages."""
+    return textwrap.fill(text, 120, break_long_words=False, break_on_hyphens=False)
+
+
 @dataclass(slots=True)
 class Section:
     """The results of one benchmark: paragraphs and tables, in order."""
@@ -65,7 +71,7 @@ class Section:
 
     def body(self) -> str:
         """Return the section in Markdown without its title."""
-        return "\n\n".join(part if isinstance(part, str) else part.markdown() for part in self.parts)
+        return "\n\n".join(filled(part) if isinstance(part, str) else part.markdown() for part in self.parts)
 
     def markdown(self) -> str:
         """Return the section in Markdown with its title."""

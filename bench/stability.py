@@ -569,10 +569,9 @@ def run(options: Options, advance: Advance) -> Section:
             "0.999 or 2 times the proved limit. The first table shows the motion after the hand has come to rest, by "
             f"the verdict of the stability margin. {len(found.broken)} trials are called safe and do not come to rest. "
             f"{found.linear} trials have a linear loop with a spectral radius above 1.001; {found.grew} of them grow "
-            "in the bilateral loop without friction, rounding and limit. A trial rests if its speed stays within 1e-7 "
-            "m/s of its mean. It cycles if the energy of half-second intervals no longer changes, or does not fall for "
-            f"{UNSAFE_S:.0f} s ({LONGEST_S:.0f} s if it is called safe). The plain conditions are those of the "
-            "[literature](stability.md).",
+            "in the bilateral loop without friction, rounding and limit. A trial runs for at most "
+            f"{UNSAFE_S:.0f} s ({LONGEST_S:.0f} s if it is called safe); [Maps](stability.md#maps) defines rest and "
+            "cycle. The plain conditions are those of the [literature](stability.md#the-proof).",
             "The other tables have stiffness limits on one wall, of the handle without a hand (free) and in the "
             "default hand (held). Passive and step held: the proved limits of passivity and of quantisation. Linear: "
             "the limit of the linear loop. Simulated: the smallest stiffness at which the handle does not come to "

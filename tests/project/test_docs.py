@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from bench.summary import with_summary
 from docs import tables as docs_tables
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
 from hapticd.base.yaml_source import load_text
@@ -97,6 +98,11 @@ def test_tables_are_those_of_the_code(name: str) -> None:
     """If this test fails, `make docs-tables` writes the tables again."""
     page = (ROOT / "docs" / name).read_text()
     assert docs_tables.PAGES[name](page) == page
+
+
+def test_the_summary_of_the_errors_is_that_of_the_tables_below_it() -> None:
+    page = (ROOT / "docs" / "accuracy.md").read_text()
+    assert with_summary(page) == page
 
 
 # ---- protocol.md ---------------------------------------------------------------------------------------------------

@@ -137,10 +137,10 @@ def ways() -> list[list[str]]:
     return [block.split("\n    ") for block in re.findall(r"(?:^|\n)\n    ((?:.+\n    )*.+)\n", text)]
 
 
-def test_every_installation_takes_three_commands_to_the_first_tap(ways: list[list[str]]) -> None:
+def test_every_installation_takes_at_most_three_commands_to_the_first_tap(ways: list[list[str]]) -> None:
     assert len(ways) == 3
     for commands in ways:
-        assert len(commands) == 3 and commands[-1].endswith("hapticd simulate materials"), commands
+        assert len(commands) <= 3 and commands[-1].endswith("hapticd simulate materials"), commands
 
 
 def test_the_tests_of_installations_run_the_commands_of_the_page(ways: list[list[str]]) -> None:
