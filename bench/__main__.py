@@ -7,7 +7,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -160,12 +160,13 @@ def _write(found: Found, folder: Path, on: str, complete: bool) -> list[Path]:
             "and ratios are meaningful, but the highest percentiles are not. A figure is the median over repetitions, "
             "with the tenth to the ninetieth percentile in brackets: (10 to 90 %).",
         ),
+        DEVICES: ("Devices", on),
     }
     written = []
     for page, sections in found.pages.items():
-        if page == DEVICES:
+        if page == DEVICES and folder.resolve() == DOCS:
             # The rest of this page is written by hand.
-            if folder == DOCS and not found.failed:
+            if not found.failed:
                 link.write_into(DOCS / DEVICES, sections[0])
                 written.append(DOCS / DEVICES)
             continue
@@ -198,13 +199,17 @@ def perform(names: Sequence[str], options: Options, out: Path | None, overwrite:
         raise HapticdError("--quick measures too little for docs: give another folder with --out, or no --overwrite")
     folder = out or (DOCS if complete or overwrite else None)
     if folder is not None:
-        for page in sorted({MEASUREMENTS[name].page for name in chosen} - {DEVICES}):
-            if (folder / page).exists():
-                check_new(folder / page, overwrite)
+        files = {MEASUREMENTS[name].page for name in chosen} | ({stability.PLOT} if "stability" in chosen else set())
+        if folder.resolve() == DOCS:
+            files.discard(DEVICES)
+        for file in sorted(files):
+            if (folder / file).exists():
+                check_new(folder / file, overwrite)
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise HapticdError(f"{folder}: cannot be created: {error.strerror}") from None
+    options = replace(options, folder=folder)
     found = _measure(console, chosen, options, None if chosen == list(MEASUREMENTS) else on)
     console.print(f"\n{len(chosen)} measurements in {found.duration_s:.0f} s", highlight=False)
     if folder is not None:

@@ -27,6 +27,8 @@ class Options:
 
     quick: bool = False
     """Use few repetitions: the benchmarks run, but the figures are not precise."""
+    folder: Path | None = None
+    """Folder of the pages and plots; None if none are written."""
 
     def few(self, many: int, few: int) -> int:
         """Return `few` in a quick run, otherwise `many`."""

@@ -12,11 +12,12 @@ from collections import Counter
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from bench.report import ROOT, Advance, Floats, Options, Section, Table, between
+from bench.report import Advance, Floats, Options, Section, Table, between
 from bench.swept import STUDIES, swept, workers
 from hapticd.base.core import ffi, lib
 from hapticd.base.yaml_source import Json, load_path
@@ -456,11 +457,11 @@ def limits(point: SweepPoint) -> dict[str, float]:
     }
 
 
-PLOT = ROOT / "docs" / "stability.png"
+PLOT = "stability.png"
 
 
-def draw_maps(maps: dict[str, list[Limits]]) -> None:
-    """Draw the maps into docs/stability.png."""
+def draw_maps(maps: dict[str, list[Limits]], path: Path) -> None:
+    """Draw the maps into a file."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -500,7 +501,7 @@ def draw_maps(maps: dict[str, list[Limits]]) -> None:
     panels[1, 1].set_title("10 kHz, step 20 um, b = 10 N s/m", fontsize=10)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9)
-    figure.savefig(PLOT, dpi=110)
+    figure.savefig(path, dpi=110)
     pyplot.close(figure)
 
 
@@ -531,7 +532,7 @@ def mapped(client: Any, axis: str, progress: Callable[[float], None], quick: boo
 
 
 def run(options: Options, advance: Advance) -> Section:
-    """Return the section with trials and maps; draw docs/stability.png unless the run is quick."""
+    """Return the section with trials and maps; draw the maps into PLOT if pages are written."""
     trials = options.few(TRIALS, 200)
     drawn: dict[str, Json] = {"parameters.trial": {"low": 0, "high": trials - 1, "count": trials}}
     maps: dict[str, list[Limits]] = {}
@@ -550,8 +551,8 @@ def run(options: Options, advance: Advance) -> Section:
         rows.append([what, str(sum(numbers)), *map(str, numbers)])
     numbers = [found.plain[fate] for fate in fates]
     rows.append(["safe by the plain conditions", str(sum(numbers)), *map(str, numbers)])
-    if not options.quick:
-        draw_maps(maps)
+    if options.folder is not None:
+        draw_maps(maps, options.folder / PLOT)
     heads = [
         "passive",
         "step held",

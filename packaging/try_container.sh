@@ -2,7 +2,8 @@
 # Builds packaging/Containerfile and runs the image to a first tap, with a client on the host: `make container-test`, as root.
 #
 # It needs buildah. BASE is the image below it; without one, debootstrap (Debian) makes the base, so that no registry is needed.
-# HAPTICD_BUILD_VOLUME=/from:/to:ro is mounted while it is built, for a machine with certificates of its own.
+# HAPTICD_BUILD_VOLUME=/from:/to:ro is mounted while it is built. Behind a proxy with its own certificate, which pip in the
+# image rejects otherwise: HAPTICD_BUILD_VOLUME=/etc/ssl/certs:/etc/ssl/certs:ro.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import textwrap
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -111,13 +112,15 @@ class View:
 
     def render(self, width: int, height: int) -> Text:
         """Return the complete view: `height` lines of at most `width` characters."""
-        rows = max(1, height - EVENT_LINES - 2)
+        warnings = self._connection.get("warnings", [])
+        warned = [Text(line, "yellow") for each in warnings for line in textwrap.wrap(each, width)]
+        rows = max(1, height - EVENT_LINES - 2 - len(warned))
         columns = max(1, width - PANEL_WIDTH - 1)
         panel = [
             Text.assemble((f"{label:<11}", "dim"), (f"{bar}{value}", style))
             for label, bar, value, style in self._rows()
         ]
-        lines = [self._headline(width)]
+        lines = [self._headline(width), *warned]
         for picture, about in zip_longest(self._picture(columns, rows), panel[:rows], fillvalue=Text()):
             lines.append(Text.assemble(picture, " ", about))
         lines.append(Text("─" * width, style="dim"))
@@ -134,9 +137,8 @@ class View:
         if self.status is None:
             return Text(" connecting ".ljust(width), style="reverse")
         status = self.status
-        connection = cast("dict[str, Any]", status.get("connection") or {})
         right, style = f"forces {status['forces']} ", "bold white on red"
-        signs = connection.get("signs", {})
+        signs = self._connection.get("signs", {})
         if status["forces"] == "on" and signs.get("state") in ("checking", "waiting"):
             right = "device exerts no force " if signs.get("problem") == "idle" else "signs are checked "
             style = "black on yellow"
@@ -144,6 +146,11 @@ class View:
             style = f"black on {'green' if status['forces'] == 'on' else 'yellow'}"
         left = f" hapticd {status['version']}  {status['device']}  {wording.si(status['rate_hz'], 'Hz')}"
         return Text.assemble((left.ljust(max(0, width - len(right))), "reverse"), (right, style))
+
+    @property
+    def _connection(self) -> dict[str, Any]:
+        """The connection to the device; empty without a device."""
+        return {} if self.status is None else dict(self.status.get("connection") or {})
 
     def _rows(self) -> Iterator[tuple[str, str, str, str]]:
         """Yield the rows next to the picture: label, bar, value and style of each."""

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 from bench import __main__ as bench
+from bench import stability
+from bench.link import BEGIN, END
+from bench.report import Advance, Options, Section
 from hapticd import cli
 from hapticd.cli import machine
 from tests.support.special_files import KINDS, special
@@ -53,3 +57,52 @@ def test_a_page_is_written_only_to_a_regular_file(
     message = special(tmp_path / bench.ACCURACY, kind)
     assert cli.main(["bench", "closed_loop", "--quick", "--out", str(tmp_path), *overwrite]) == 1
     assert capsys.readouterr().err == f"hapticd: {message}\n"
+
+
+def measured(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Let a benchmark take no time; its section has the title "Measured" and the text "new"."""
+
+    def run(options: Options, advance: Advance) -> Section:
+        return Section("Measured", ["new"])
+
+    about, page = bench.MEASUREMENTS[name].about, bench.MEASUREMENTS[name].page
+    monkeypatch.setitem(bench.MEASUREMENTS, name, bench.Measurement(about, run, page))
+
+
+def test_the_section_of_links_goes_into_the_page_of_docs_by_any_name_of_the_folder(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    measured(monkeypatch, "link")
+    monkeypatch.setattr(bench, "DOCS", tmp_path / "docs")
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "docs" / bench.DEVICES
+    page.parent.mkdir()
+    page.write_text(f"# By hand\n{BEGIN}old\n{END}More\n")
+    assert cli.main(["bench", "link", "--quick", "--out", "docs"]) == 0
+    text = page.read_text()
+    assert text.startswith(f"# By hand\n{BEGIN}\nnew\n") and text.endswith(f"{END}More\n")
+
+
+def test_another_folder_gets_a_page_with_the_section_of_links(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    measured(monkeypatch, "link")
+    assert cli.main(["bench", "link", "--quick", "--out", str(tmp_path)]) == 0
+    page = tmp_path / bench.DEVICES
+    assert "## Measured\n\nnew\n" in page.read_text()
+    page.write_text("another page\n")
+    assert cli.main(["bench", "link", "--quick", "--out", str(tmp_path)]) == 1
+    assert page.read_text() == "another page\n"
+
+
+@pytest.mark.parametrize("out", [True, False])
+def test_the_maps_of_stability_are_drawn_beside_the_pages(
+    out: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    points = [stability.Limits(at, *[100.0] * 6, again=0.0) for at in (0.0, 1.0, 2.0)]
+    monkeypatch.setattr(stability, "workers", nullcontext)
+    monkeypatch.setattr(stability, "swept", lambda *_: [])
+    monkeypatch.setattr(stability, "mapped", lambda *_, **__: points)
+    monkeypatch.setattr(bench, "DOCS", tmp_path / "docs")
+    folder = tmp_path / "other"
+    assert cli.main(["bench", "stability", "--quick", *(["--out", str(folder)] if out else [])]) == 0
+    found = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*"))
+    assert found == (["other/accuracy.md", "other/stability.png"] if out else [])

@@ -143,6 +143,16 @@ def test_forces_that_are_held_back_are_not_shown_as_on() -> None:
         assert wanted in drawn(shown)[0]
 
 
+def test_the_warnings_of_the_connection_are_shown_completely() -> None:
+    shown = view()
+    first, second = "the handle rests inside floor: " + "long " * 20 + "end", "axis y reported -327..396"
+    shown.feed("status", status(connection={"warnings": [first, second]}))
+    lines = drawn(shown)
+    assert " ".join(" ".join(lines[1:4]).split()) == f"{first} {second}"
+    assert len(lines) == 24
+    assert "missed" in "\n".join(lines)
+
+
 def test_before_anything_came_and_after_the_daemon_left() -> None:
     assert "connecting" in drawn(View())[0]
     shown = view()

@@ -63,20 +63,31 @@ assert not logging.getLogger().handlers
 
 
 def test_no_thread_waits_for_a_reader_that_does_not_read() -> None:
+    # The program ends after its lines were read, since at its end it waits only FINAL_FLUSH_TIMEOUT_S for their writer.
     program = """
 import logging
+import sys
 from hapticd.system import journal
 with journal.attached("info", {}):
     for number in range(5000):
         logging.getLogger("hapticd").info("%s", number)
     print("not held up", flush=True)
+    sys.stdin.read()
 """
     with subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+        [sys.executable, "-c", program],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
     ) as run:
-        assert run.stdout is not None and run.stderr is not None
+        assert run.stdin is not None and run.stdout is not None and run.stderr is not None
         assert run.stdout.readline() == "not held up\n"
-        assert [line.split()[-1] for line in run.stderr] == list(map(str, range(5000)))
+        for number in range(5000):
+            assert run.stderr.readline().split()[-1] == str(number)
+        run.stdin.close()
+        assert run.stderr.read() == ""
 
 
 def test_on_a_terminal_a_line_begins_with_the_time_of_day() -> None:

@@ -97,6 +97,24 @@ def test_a_fault_is_shown_with_its_line_and_key_and_changes_nothing(
     assert files.locator("#files-faults").inner_text() == ""
 
 
+def test_a_file_that_holds_the_handle_deep_inside_is_applied_once_it_is_opened_once_more(files: Page) -> None:
+    give(files, TABLE)
+    wait_said(files, "table.yaml was opened")
+    before = objects(files)
+    x, y = files.evaluate("() => hapticd.model.state.position_m")
+    deep = TABLE.replace("center_m: [0.02, 0.03], radius_m: 0.01", f"center_m: [{x}, {y}], radius_m: 0.03")
+    for name in ("deep.yaml", "other.yaml"):
+        give(files, deep, name)
+        fault = files.locator("#files-faults", has_text=f"{name}: ")
+        fault.wait_for()
+        assert "to apply it all the same, open it once more" in fault.inner_text()
+        assert objects(files) == before
+    give(files, deep, name)
+    wait_said(files, "other.yaml was opened")
+    assert objects(files)["ball"]["radius_m"] == 0.03
+    assert files.locator("#files-faults").inner_text() == ""
+
+
 def test_what_is_no_text_is_refused_by_name(files: Page) -> None:
     files.set_input_files("#yaml-file", {"name": "photo.yaml", "mimeType": "image/png", "buffer": b"\x89PNG\xff"})
     files.wait_for_function("() => document.querySelector('#files-faults').textContent !== ''")

@@ -111,8 +111,8 @@ def test_after_a_stop_a_press_on_the_scene_does_not_turn_forces_on(held: Page) -
     assert held.evaluate("() => hapticd.safety.holder") == "this page"
 
 
-SHOW_SIGNS = """(signs) => {
-  hapticd.model.status = { ...hapticd.model.status, connection: { signs } };
+SHOW_CONNECTION = """(connection) => {
+  hapticd.model.status = { ...hapticd.model.status, connection };
   hapticd.safety.dispatchEvent(new Event("change"));
   return document.querySelector("#alerts").textContent;
 }"""
@@ -120,9 +120,16 @@ SHOW_SIGNS = """(signs) => {
 
 def test_forces_that_are_held_back_say_what_the_person_is_to_do(held: Page) -> None:
     advice = "the device exerts no force because its safety switch is open: hold the handle lightly"
-    assert held.evaluate(SHOW_SIGNS, {"state": "waiting", "advice": advice}) == advice
-    assert "let go of the handle" in held.evaluate(SHOW_SIGNS, {"state": "checking", "advice": None})
-    assert held.evaluate(SHOW_SIGNS, {"state": "right", "advice": None}) == ""
+    assert held.evaluate(SHOW_CONNECTION, {"signs": {"state": "waiting", "advice": advice}}) == advice
+    checking = held.evaluate(SHOW_CONNECTION, {"signs": {"state": "checking", "advice": None}})
+    assert "let go of the handle" in checking
+    assert held.evaluate(SHOW_CONNECTION, {"signs": {"state": "right", "advice": None}}) == ""
+
+
+def test_the_warnings_of_the_connection_are_shown(held: Page) -> None:
+    warning = "the handle rests at x 0.0 mm, y -2.4 mm, inside floor"
+    assert held.evaluate(SHOW_CONNECTION, {"warnings": [warning]}) == warning
+    assert held.evaluate(SHOW_CONNECTION, {"warnings": []}) == ""
 
 
 def test_a_replay_that_pauses_is_not_said_to_be_over(page: Page) -> None:

@@ -203,6 +203,7 @@ function drawAlerts(bar) {
     for (const fault of safety.faults) {
       lines.push(["bad", faultText(fault, model)]);
     }
+    lines.push(...(model.status.connection?.warnings ?? []).map((text) => ["warn", text]));
     const signs = model.status.connection?.signs;
     if (safety.forces === "on" && (signs?.state === "checking" || signs?.state === "waiting")) {
       lines.push(["warn", signs.advice ?? "The joystick's directions are checked: let go of the handle, or hold it " +
