@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final, Literal, NoReturn, TypeAlias, cast
+from typing import Any, Final, Literal, NoReturn, TypeAlias, cast
 
 from hapticd._version import __version__
 from hapticd.base import clock
@@ -38,7 +38,7 @@ MAX_ATTEMPTS_NOT_DONE: Final = 3
 
 Ending: TypeAlias = Literal["ended", "aborted"]
 """How a run ended: the session is over, or the experimenter aborted it."""
-Procedures: TypeAlias = "Callable[[str, Json], Procedure]"
+Procedures: TypeAlias = "Callable[[str, Json], Procedure[Any]]"
 """Function that makes an adaptive procedure from its name and its stored state; null makes a new procedure."""
 AtLevel: TypeAlias = Callable[[PlannedTrial, float], tuple[Stimulus, ...]]
 """Function that returns the stimuli of a trial if its adaptive procedure shows this level."""
@@ -93,7 +93,7 @@ class Session:
         self._keep = keep_telemetry
         self._now_s = monotonic_s
         self._progress = progress_of(log.records)
-        self._procedures: dict[str, Procedure] = {}
+        self._procedures: dict[str, Procedure[Any]] = {}
         self._origin_s = monotonic_s() - self._progress.elapsed_s
         self._faults = 0
         self._attempts_not_done = 0
@@ -518,7 +518,7 @@ class Session:
 
     # ---- Bookkeeping ----------------------------------------------------------------------------------------
 
-    def _procedure(self, name: str) -> Procedure:
+    def _procedure(self, name: str) -> Procedure[Any]:
         if name not in self._procedures:
             self._procedures[name] = self._new_procedure(name, self._progress.procedures.get(name))
         return self._procedures[name]

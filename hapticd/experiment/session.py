@@ -12,20 +12,19 @@ from hapticd.base.errors import HapticdError, known_names, quoted
 from hapticd.base.yaml_source import Json
 from hapticd.experiment.keys import Study
 from hapticd.experiment.plan import Plan, PlannedTrial
-from hapticd.experiment.procedures.constant_stimuli import ConstantStimuli, ConstantStimuliParameters
+from hapticd.experiment.procedures.constant_stimuli import ConstantStimuli
 from hapticd.experiment.procedures.procedure import Procedure
-from hapticd.experiment.procedures.quest_plus import QuestPlus, QuestPlusParameters
-from hapticd.experiment.procedures.staircase import Staircase, StaircaseParameters
+from hapticd.experiment.procedures.quest_plus import QuestPlus
+from hapticd.experiment.procedures.staircase import Staircase
 from hapticd.experiment.session_folder import SessionFolder
 from hapticd.experiment.session_log import SessionLog
 from hapticd.experiment.stimuli import Stimulus
 
-_PROCEDURE_KINDS: Final[dict[str, tuple[Any, Any]]] = {
-    "staircase": (Staircase, StaircaseParameters),
-    "quest_plus": (QuestPlus, QuestPlusParameters),
-    "constant_stimuli": (ConstantStimuli, ConstantStimuliParameters),
+_PROCEDURE_KINDS: Final[dict[str, type[Procedure[Any]]]] = {
+    "staircase": Staircase,
+    "quest_plus": QuestPlus,
+    "constant_stimuli": ConstantStimuli,
 }
-"""The class of each kind of adaptive procedure, and the class of its parameters."""
 
 
 def begin(root: Path, source: bytes, plan: Plan, stage: Mapping[str, Json]) -> tuple[SessionFolder, SessionLog]:
@@ -95,7 +94,7 @@ def plan_of(folder: SessionFolder) -> Plan:
         raise HapticdError(f"{folder.path}/plan.json: not a plan of this version of hapticd ({error})") from None
 
 
-def procedure_of(study: Study, name: str, state: Json) -> Procedure:
+def procedure_of(study: Study, name: str, state: Json) -> Procedure[Any]:
     """Return the adaptive procedure of the run `name`: a new one if `state` is null, else one with this stored state.
 
     Raises HapticdError if study or state is invalid.
@@ -105,6 +104,5 @@ def procedure_of(study: Study, name: str, state: Json) -> Procedure:
     if kind not in _PROCEDURE_KINDS:
         known = known_names(kind, _PROCEDURE_KINDS)
         raise HapticdError(f"trial.procedures.{name}.method.kind: unknown procedure {quoted(kind)}; {known}")
-    made, parameters = _PROCEDURE_KINDS[kind]
-    found = made(parameters.model_validate(method)) if state is None else made.restored(state)
-    return cast(Procedure, found)
+    made = _PROCEDURE_KINDS[kind]
+    return made(made.PARAMETERS.model_validate(method)) if state is None else made.restored(state)

@@ -14,7 +14,7 @@ from pydantic import Field
 from hapticd.base.model import CheckedTogether
 from hapticd.experiment.analysis.psychometric import bootstrap, fit
 from hapticd.experiment.analysis.psychometric_shapes import Shape, is_logarithmic
-from hapticd.experiment.procedures.procedure import Answer, BaseProcedure, Estimate, Level, ProcedureError, Proportion
+from hapticd.experiment.procedures.procedure import Answer, Estimate, Level, Procedure, ProcedureError, Proportion
 
 
 class ConstantStimuliParameters(CheckedTogether):
@@ -49,8 +49,8 @@ class ConstantStimuliParameters(CheckedTogether):
         return is_logarithmic(self.shape, self.axis == "logarithmic")
 
 
-class ConstantStimuli(BaseProcedure[ConstantStimuliParameters]):
-    """A run of the method of constant stimuli; see `procedure.Procedure`."""
+class ConstantStimuli(Procedure[ConstantStimuliParameters]):
+    """A run of the method of constant stimuli."""
 
     PARAMETERS = ConstantStimuliParameters
 

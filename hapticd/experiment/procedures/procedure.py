@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Final, Generic, Protocol, Self, TypeAlias, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Generic, Self, TypeAlias, TypeVar
 
 from pydantic import Field
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.model import CheckedTogether
 from hapticd.base.yaml_source import Json
 
 Level: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -40,30 +41,6 @@ class Answer:
 
     level: float
     positive: bool
-
-
-class Procedure(Protocol):
-    """The interface of adaptive procedures: Staircase, QuestPlus and ConstantStimuli."""
-
-    def level(self) -> float | None:
-        """Return the level of the next trial, or None if the procedure has ended."""
-
-    def answer(self, level: float, positive: bool) -> None:
-        """Receive the answer to a level; a correct answer is positive.
-
-        Raises ProcedureError if `level` is not the next one or the procedure has ended. QuestPlus accepts each of its
-        levels at any time.
-        """
-
-    def state(self) -> Json:
-        """Return the state of the procedure, parameters and answers, as plain data."""
-
-    @classmethod
-    def restored(cls, state: Json) -> Self:
-        """Return the procedure that has this state. Raises ProcedureError or InvalidError for an invalid state."""
-
-    def estimate(self) -> Estimate:
-        """Return the estimated threshold with its interval. Raises ProcedureError without answers."""
 
 
 def answers_of(state: Json) -> tuple[Json, list[Answer]]:
@@ -95,21 +72,13 @@ def check_level(given: float, expected: float | None) -> float:
     return expected
 
 
-class Parameters(Protocol):
-    """The interface of the parameters of a procedure."""
-
-    def to_dict(self) -> dict[str, Json]:
-        """Return the parameters as JSON data."""
+P = TypeVar("P", bound=CheckedTogether)
 
 
-P = TypeVar("P", bound=Parameters)
-
-
-class BaseProcedure(ABC, Generic[P]):
+class Procedure(ABC, Generic[P]):
     """The base class of adaptive procedures, whose state consists of parameters and answers."""
 
     PARAMETERS: ClassVar[type[Any]]
-    """Pydantic model of the parameters."""
 
     def __init__(self, parameters: P) -> None:
         self.parameters = parameters
@@ -120,7 +89,11 @@ class BaseProcedure(ABC, Generic[P]):
         """Return the level of the next trial, or None if the procedure has ended."""
 
     def answer(self, level: float, positive: bool) -> None:
-        """Receive the answer to a level. Raises ProcedureError if the procedure does not accept this level now."""
+        """Receive the answer to a level; a correct answer is positive.
+
+        Raises ProcedureError if `level` is not the next one or the procedure has ended. QuestPlus accepts each of its
+        levels at any time.
+        """
         self._take(self._due(level), positive)
 
     def state(self) -> Json:
@@ -138,6 +111,10 @@ class BaseProcedure(ABC, Generic[P]):
         for each in answers:
             made._take(made._due(each.level), each.positive)
         return made
+
+    @abstractmethod
+    def estimate(self) -> Estimate:
+        """Return the estimated threshold with its interval. Raises ProcedureError without answers."""
 
     def _due(self, given: float) -> float:
         """Return the next level of the procedure. Raises ProcedureError if `given` is another level."""

@@ -21,9 +21,9 @@ from hapticd.experiment.procedures.posterior import expected_entropies, marginal
 from hapticd.experiment.procedures.procedure import (
     LEVEL_TOLERANCE,
     Answer,
-    BaseProcedure,
     Estimate,
     Level,
+    Procedure,
     ProcedureError,
     Proportion,
 )
@@ -122,8 +122,8 @@ class QuestPlusParameters(CheckedTogether):
         return np.array(self.levels if self.thresholds is None else self.thresholds, dtype=float)
 
 
-class QuestPlus(BaseProcedure[QuestPlusParameters]):
-    """A run of QUEST+; see `procedure.Procedure`."""
+class QuestPlus(Procedure[QuestPlusParameters]):
+    """A run of QUEST+."""
 
     PARAMETERS = QuestPlusParameters
 

@@ -26,7 +26,7 @@ from hapticd.analysis.statistics import Floats
 from hapticd.base.model import CheckedTogether
 from hapticd.experiment.analysis.psychometric_shapes import Shape, axis, inverse, is_logarithmic, level, rise
 from hapticd.experiment.procedures.posterior import summary
-from hapticd.experiment.procedures.procedure import Answer, BaseProcedure, Estimate, Level, ProcedureError, Proportion
+from hapticd.experiment.procedures.procedure import Answer, Estimate, Level, Procedure, ProcedureError, Proportion
 
 Rule = Literal["1-up-1-down", "1-up-2-down", "1-up-3-down", "weighted"]
 POSITIVES_IN_A_ROW: Final[dict[Rule, int]] = {"1-up-1-down": 1, "1-up-2-down": 2, "1-up-3-down": 3, "weighted": 1}
@@ -109,8 +109,8 @@ class StaircaseParameters(CheckedTogether):
         return self.target if self.target is not None else 0.5 ** (1.0 / POSITIVES_IN_A_ROW[self.rule])
 
 
-class Staircase(BaseProcedure[StaircaseParameters]):
-    """A run of a staircase; see `procedure.Procedure`."""
+class Staircase(Procedure[StaircaseParameters]):
+    """A run of a staircase."""
 
     PARAMETERS = StaircaseParameters
 
