@@ -284,9 +284,6 @@ class Flight:
                 writer.write_event(event)
             recording = _account(job, changes)
             writer.finish({"recording": recording, "flight": {**about, "complete_from": history.complete_from}})
-        self._remove_old()
-
-    def _remove_old(self) -> None:
         numbered = sorted((int(match[1]), path) for path, match in self._files())
         for _, path in numbered[: -self._keep]:
             path.unlink(missing_ok=True)

@@ -57,11 +57,6 @@ def _samples_head(first_tick: int, dropped: int, size: int) -> bytes:
     return begin + b"\xc6" + size.to_bytes(4, "big")
 
 
-def sample_map(sample: np.void) -> dict[str, object]:
-    """Return a sample as a map of plain numbers and lists, by field name."""
-    return {name: sample[name].tolist() for name in SAMPLE_DTYPE.names or ()}
-
-
 def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
     """Return a mapping from the index of each object's last event to the number of the object's events."""
     objects = events["slot"].astype(np.uint64) << np.uint64(32) | events["generation"]
@@ -223,7 +218,7 @@ class Telemetry:
             self._send("state", state)
 
     def _state(self, sample: np.void) -> dict[str, object]:
-        state = sample_map(sample)
+        state: dict[str, object] = {name: sample[name].tolist() for name in SAMPLE_DTYPE.names or ()}
         state["touching"] = self._engine.touching()
         state["flag_names"] = [flag.name.lower() for flag in Flag(int(sample["flags"])) if flag.name]
         return state

@@ -93,7 +93,9 @@ def rows_of(folder: SessionFolder) -> list[Row]:
         elif record["kind"] == "answer":
             shown = cast("list[dict[str, Any]]", started[record["trial"], record["attempt"]]["stimuli"])
             rows.append(_row(folder, planned[record["trial"]], record, shown))
-    names = _ordered_columns({name for row in rows for name in row})
+    found = {name for row in rows for name in row}
+    of_stimuli = sorted(found - set(_FIXED_COLUMNS) - set(MOTION_MEASURES), key=_numbered)
+    names = [*_FIXED_COLUMNS, *of_stimuli, *(name for name in MOTION_MEASURES if name in found)]
     return [{name: row.get(name) for name in names} for row in rows]
 
 
@@ -113,12 +115,6 @@ def _row(folder: SessionFolder, trial: Mapping[str, Any], answer: Record, stimul
         for factor, level in stimulus["levels"].items():
             row[f"{factor}_{number}"] = level
     return row | cast("dict[str, Json]", answer["measures"])
-
-
-def _ordered_columns(names: set[str]) -> list[str]:
-    """Return the columns of a table of answers in order: fixed columns, columns of the stimuli, measures."""
-    others = sorted(names - set(_FIXED_COLUMNS) - set(MOTION_MEASURES), key=_numbered)
-    return [*_FIXED_COLUMNS, *others, *(name for name in MOTION_MEASURES if name in names)]
 
 
 def _numbered(name: str) -> tuple[str, int]:
@@ -171,10 +167,11 @@ def write_data_set(root: Path, title: str) -> list[Path]:
 
     Raises HapticdError if a file cannot be written.
     """
+    participants = sorted(each.name for each in root.glob("sub-*") if each.is_dir())
     files: dict[Path, str] = {
         root / ".bidsignore": "\n".join(_BIDSIGNORE_PATTERNS) + "\n",
         root / "README": _README_TEXT,
-        root / "participants.tsv": "participant_id\n" + "".join(f"{name}\n" for name in _participants(root)),
+        root / "participants.tsv": "participant_id\n" + "".join(f"{name}\n" for name in participants),
         root / "dataset_description.json": _json({
             "Name": title,
             "BIDSVersion": BIDS_VERSION,
@@ -250,10 +247,6 @@ def task_label(title: str) -> str:
     """Return the label of a study in file names, made from its title: at most 40 letters and digits, as BIDS asks."""
     words = re.findall("[A-Za-z0-9]+", title)
     return "".join(word[0].upper() + word[1:] for word in words)[:40] or "Task"
-
-
-def _participants(root: Path) -> list[str]:
-    return sorted(each.name for each in root.glob("sub-*") if each.is_dir())
 
 
 def _described(name: str) -> dict[str, Json]:

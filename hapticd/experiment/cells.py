@@ -166,7 +166,8 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
         )
     asks = question.asks
     if asks is None:
-        target_is_known = study.trial.type == "forced_choice" and not cell.listed and _target_differs(cell)
+        target_differs = cell.procedure is not None or cell.levels[0] != cell.levels[1]
+        target_is_known = study.trial.type == "forced_choice" and not cell.listed and target_differs
         return _meaning(question, order.index(0)) if target_is_known else None
     if cell.procedure is not None:
         # The level of the target is chosen before each trial. The question asks for the target.
@@ -176,11 +177,6 @@ def correct_answer(study: Study, cell: Cell, order: Sequence[int]) -> str | None
     if ranks.count(best) > 1:
         return next((each.name for each in question.answers if each.means == "same"), None)
     return _meaning(question, ranks.index(best))
-
-
-def _target_differs(cell: Cell) -> bool:
-    """Return whether the target of a forced choice differs from the other stimuli of its cell."""
-    return cell.procedure is not None or cell.levels[0] != cell.levels[1]
 
 
 def _meaning(question: ChoiceQuestion, position: int) -> str | None:

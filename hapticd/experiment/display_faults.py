@@ -32,12 +32,13 @@ def display_faults(study: Study) -> list[Fault]:
     seen: set[Hashable] = set()
     faulty: set[Hashable] = set()
     for cell in cells_of(study):
+        variable = None if cell.procedure is None else study.adaptive(cell.procedure).variable.name
         for position in range(len(cell.levels)):
             place = place_of(study, position)
             for levels in cell.levels[position:] if cell.listed else cell.levels:
                 stimulus = cell.condition, levels_key(levels)
                 # A fault at one place is not reported again for the other places.
-                known = (place, stimulus) in seen or stimulus in faulty or _has_variable(study, cell, levels)
+                known = (place, stimulus) in seen or stimulus in faulty or variable in levels
                 if not known:
                     seen.add((place, stimulus))
                     faults = _stimulus(study, cell.condition, levels, place)
@@ -52,10 +53,6 @@ def display_faults(study: Study) -> list[Fault]:
         if len(found) >= _MAX_FAULTS:
             break
     return list(dict.fromkeys(found))
-
-
-def _has_variable(study: Study, cell: Cell, levels: Mapping[str, Scalar]) -> bool:
-    return cell.procedure is not None and study.adaptive(cell.procedure).variable.name in levels
 
 
 def _condition(study: Study, name: str) -> Iterator[Fault]:

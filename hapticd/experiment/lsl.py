@@ -16,7 +16,6 @@ from types import ModuleType
 from typing import Any, Final, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from hapticd._version import __version__
 from hapticd.base.errors import HapticdError
@@ -98,12 +97,6 @@ def _pylsl() -> ModuleType:
     return cast(ModuleType, pylsl)
 
 
-def matrix_of(batch: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a batch of n samples as numbers of shape (n, len(SAMPLE_CHANNELS)), a column for each channel."""
-    columns = [batch[each.field] if each.axis is None else batch[each.field][:, each.axis] for each in SAMPLE_CHANNELS]
-    return np.column_stack([column.astype(np.float64) for column in columns])
-
-
 class Outlets:
     """The LSL outlets (streams) of samples and of event codes; a context manager that closes them."""
 
@@ -148,7 +141,9 @@ class Outlets:
     def push_samples(self, batch: SampleBatch) -> None:
         """Send a batch of samples to LSL. The time of a sample is the deadline of its tick."""
         if len(batch):
-            self._samples.push_chunk(matrix_of(batch), (batch["time_ns"] / 1e9).tolist())
+            fields = [(batch[each.field], each.axis) for each in SAMPLE_CHANNELS]
+            columns = [(values if axis is None else values[:, axis]).astype(np.float64) for values, axis in fields]
+            self._samples.push_chunk(np.column_stack(columns), (batch["time_ns"] / 1e9).tolist())
 
     def push_event(self, event: Mapping[str, object]) -> None:
         """Send the event code of a daemon's event to LSL, if there is one, with the time of the event's tick."""

@@ -209,4 +209,4 @@ def _rounded_levels(levels: _Floats, scales: PeriodicScales) -> _Floats:
 
 def max_coefficient_n(peak: float, scales: PeriodicScales) -> float:
     """Return the largest amplitude of a mode, in N, for which `peak` times the amplitude fits every level field."""
-    return min(scale.max_quantity for scale in scales.levels) / max(peak, 1e-9)
+    return min(scale.quantity(scale.max_counts) for scale in scales.levels) / max(peak, 1e-9)

@@ -178,11 +178,6 @@ class Scale:
         """The change of the field's quantity by one count."""
         return 1.0 / self.counts_per_unit
 
-    @property
-    def max_quantity(self) -> float:
-        """The field's quantity at its largest count."""
-        return self.quantity(self.max_counts)
-
     def counts(self, quantity: float) -> int:
         """Return the nearest count to a quantity, within the limits."""
         return min(max(round(quantity * self.counts_per_unit + self.zero_counts), self.min_counts), self.max_counts)

@@ -1,7 +1,7 @@
 """Textures that were identified at one rate, as models for the servo's rate."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
@@ -164,7 +164,7 @@ def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex]) -> _
     direct = np.ones_like(target)
     for pole in placed:
         direct /= np.abs((1 - pole * nodes.delay) * (1 if pole.imag == 0 else 1 - pole.conjugate() * nodes.delay)) ** 2
-    room = MAX_ORDER - _order_of(placed)
+    room = MAX_ORDER - sum(1 if pole.imag == 0 else 2 for pole in placed)
     correlation = nodes.cosines[: room + 1] @ (nodes.weight * (target / direct))
     reflection = _predicted(correlation)
     heard = np.flatnonzero(power >= power.max() * 10 ** (-COMPARED_RANGE_DB / 10))
@@ -212,10 +212,6 @@ def _fits_beyond(power: Array, angle: Array, weight: Array, poles: ComplexArray,
                 break
             before = fit.error_db
             target[inside:] = np.minimum(fit.power[inside:], power[-1])
-
-
-def _order_of(poles: Iterable[complex]) -> int:
-    return sum(1 if p.imag == 0 else 2 for p in poles)
 
 
 def _predicted(r: Array) -> Reflection:

@@ -63,7 +63,9 @@ def drawings_of(results: Results) -> list[Drawing]:
     """Return the maps and line figures of the study, or the default figures if the study has no key `figures`."""
     named = results.study.figures
     keys = default_figures(results) if named is None else [each for each in named if each.kind != "table"]
-    return [Drawing(title_of(results, each), _caption(results, each), each, results) for each in keys]
+    return [
+        Drawing(title_of(results, each), _listed(results, each) if each.where else "", each, results) for each in keys
+    ]
 
 
 def file_names(drawings: Sequence[Drawing]) -> list[str]:
@@ -86,10 +88,6 @@ def title_of(results: Results, figure: SweepFigure) -> str:
     what = figure.axis_label or ", ".join(words(name) for name in drawn or ())
     text = f"{what} over {' and '.join(words(name) for name in over)}"
     return text[0].upper() + text[1:]
-
-
-def _caption(results: Results, figure: SweepFigure) -> str:
-    return _listed(results, figure) if figure.where else ""
 
 
 def _listed(results: Results, figure: SweepFigure) -> str:

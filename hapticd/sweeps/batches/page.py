@@ -127,7 +127,7 @@ def _section(rank: int, result: MaterialResult, files: Mapping[str, str], folder
 
 
 def _fit(fit: FitResult, drawn: bool) -> str:
-    panels = [_panel(each) for each in fit.panels]
+    panels = [Panel(**{**each, "curves": tuple(map(_curve, each["curves"]))}) for each in fit.panels]
     picture = html_picture(panels) if drawn and panels else ""
     figures = "" if fit.estimates is None else html_figures(fit.estimates, fit.plain or {})
     return f"""<h3>{fit.kind}</h3>
@@ -135,11 +135,6 @@ def _fit(fit: FitResult, drawn: bool) -> str:
 {html_warnings(fit.warnings)}
 {picture}
 {figures}"""
-
-
-def _panel(data: Mapping[str, Any]) -> Panel:
-    """Return a plot from its data in the row of a fit."""
-    return Panel(**{**data, "curves": tuple(map(_curve, data["curves"]))})
 
 
 def _curve(data: Mapping[str, Any]) -> Curve:
