@@ -7,22 +7,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from hapticd.base import arguments
 from hapticd.base.errors import HapticdError, shown
 
 if TYPE_CHECKING:
-    from hapticd.base.yaml_source import Json
+    from hapticd.base.model import Model
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
-
-
-class Model(Protocol):
-    """A validated model, such as `hapticd.Scene`."""
-
-    def to_dict(self) -> dict[str, Json]:
-        """Return the model as a mapping for JSON."""
 
 
 SceneSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str] | Model"

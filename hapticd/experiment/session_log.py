@@ -20,7 +20,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Final, Self, TypeAlias
 
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import check_regular
@@ -122,21 +122,6 @@ def lines_of(records: Iterable[Mapping[str, Json]]) -> bytes:
         line, crc = encoded(record, crc)
         lines.append(line)
     return b"".join(lines)
-
-
-class Log(Protocol):
-    """The interface of a session's log, for the runner."""
-
-    records: list[Record]
-    """Records of the log when it was opened."""
-    dropped: str | None
-    """Message that an incomplete last line was removed from the log, or None."""
-
-    def append(self, kind: str, **members: Json) -> Record:
-        """Append a record to the log, and return it with its number. Raises HapticdError if it cannot be written."""
-
-    def close(self) -> None:
-        """Close the log of the session."""
 
 
 class LogInMemory:
@@ -244,6 +229,9 @@ class SessionLog:
         # If the process is killed meanwhile, the incomplete line is gone, or the new record is removed in turn.
         os.ftruncate(self._fd, self._size)
         self.records.append(self.append("line_dropped", bytes=len(torn), text=text))
+
+
+Log: TypeAlias = SessionLog | LogInMemory
 
 
 def _read_all(fd: int) -> bytes:
