@@ -85,14 +85,13 @@ class Flight:
         now_ns: Callable[[], int],
         scene: FlightScene,
         texts: Callable[[], Mapping[str, object]] = dict,
-        read_clock: Callable[[], Moment] = clock.read,
     ) -> None:
         """Keep samples of the last `seconds` in memory, and the newest `keep` files in `directory`.
 
         `texts` returns the configuration and the status, which a file contains as well.
         """
-        self._scene, self._read_clock = scene, read_clock
-        self._moments: deque[Moment] = deque([read_clock()])
+        self._scene = scene
+        self._moments: deque[Moment] = deque([clock.read()])
         self._directory, self._seconds, self._keep = directory, seconds, keep
         self._now_ns, self._texts = now_ns, texts
         self._samples = np.zeros(round((seconds + FAULT_AFTERMATH_S) * rate_hz), _OPAQUE_SAMPLE_DTYPE)
@@ -156,7 +155,7 @@ class Flight:
     def hand_over_due(self, kept_ns: int) -> None:
         """Pass the requested files that are due to the writer thread. All telemetry before `kept_ns` was kept."""
         if kept_ns - self._moments[-1].monotonic_ns >= CLOCK_READ_INTERVAL_NS:
-            self._moments.append(self._read_clock())
+            self._moments.append(clock.read())
         if not self._pending:
             return
         with self._lock:
@@ -187,7 +186,7 @@ class Flight:
             kept = self._samples[: self._count]
             samples = np.concatenate((kept[place:], kept[:place])).view(SAMPLE_DTYPE)
             started = self._moments[0] if len(samples) else None
-            self._jobs.put(_Job(file, samples, list(self._events), self._scene.history(), started, self._read_clock()))
+            self._jobs.put(_Job(file, samples, list(self._events), self._scene.history(), started, clock.read()))
 
     # ---- Any thread ------------------------------------------------------------------------------------------------
 

@@ -18,8 +18,6 @@ from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
 
 SIMULATED_EXPERIMENTS: Final = 4000
 """Number of simulated experiments: the standard error of the power is then at most 0.8 %."""
-_SIMULATION_SEED: Final = 1
-"""Random seed of the simulation, fixed for a reproducible power."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,13 +35,13 @@ class Power:
     """Name of the statistical test, with its sample size."""
 
 
-def power_of_proportion(effect: ProportionEffect, chance: float, trials: int, seed: int = _SIMULATION_SEED) -> Power:
+def power_of_proportion(effect: ProportionEffect, chance: float, trials: int) -> Power:
     """Simulate the power of a test of correct answers against chance, with `trials` answers of each participant.
 
     The probability of a correct answer is normally distributed over participants, with mean `effect.correct` and
     standard deviation `effect.between`, clipped to 0..1.
     """
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(1)  # fixed, for a reproducible power
     size = (SIMULATED_EXPERIMENTS, effect.participants)
     own = np.clip(generator.normal(effect.correct, effect.between, size), 0.0, 1.0)
     right = generator.binomial(trials, own).sum(axis=1)
@@ -69,7 +67,7 @@ def critical_counts(total: int, chance: float, significance: float) -> tuple[int
     return (int(low[-1]) if len(low) else -1), (int(high[0]) if len(high) else total + 1)
 
 
-def power_of_difference(effect: DifferenceEffect, pairs: int, seed: int = _SIMULATION_SEED) -> Power:
+def power_of_difference(effect: DifferenceEffect, pairs: int) -> Power:
     """Simulate the power of a t test of the difference of a measure, with `pairs` pairs of trials per participant.
 
     Raises HapticdError if scipy is not installed.
@@ -77,7 +75,7 @@ def power_of_difference(effect: DifferenceEffect, pairs: int, seed: int = _SIMUL
     require_scipy("the power of a difference", "experiment")
     from scipy.special import stdtrit
 
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(1)  # fixed, for a reproducible power
     size = (SIMULATED_EXPERIMENTS, effect.participants)
     deviation = math.hypot(effect.between, effect.standard_deviation / math.sqrt(pairs))
     means = generator.normal(effect.mean, deviation, size)

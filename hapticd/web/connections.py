@@ -35,14 +35,9 @@ def extend_deadline() -> None:
 class Connections:
     """The browser connections of one server. Only the event loop may use them."""
 
-    def __init__(
-        self,
-        limit: int = MAX_BROWSER_CONNECTIONS,
-        request_s: float = REQUEST_TIMEOUT_S,
-        now: Callable[[], float] = time.monotonic,
-    ) -> None:
-        """Allow `limit` connections of browsers, each of which must send a request within `request_s`."""
-        self._limit, self._request_s, self._now = limit, request_s, now
+    def __init__(self, limit: int = MAX_BROWSER_CONNECTIONS, now: Callable[[], float] = time.monotonic) -> None:
+        """Allow `limit` connections of browsers, each of which must send a request within REQUEST_TIMEOUT_S."""
+        self._limit, self._now = limit, now
         self._open: dict[_Connection, float] = {}
         """The time at which each open connection is closed; 0: never."""
         self.refused = 0
@@ -62,7 +57,7 @@ class Connections:
         if len(self._open) >= self._limit:
             self.refused += 1
             return False
-        self._open[connection] = self._now() + self._request_s
+        self._open[connection] = self._now() + REQUEST_TIMEOUT_S
         return True
 
     def closed(self, connection: _Connection) -> None:
@@ -101,7 +96,7 @@ class Connections:
                     self._rearm(connection, RESPONSE_TIMEOUT_S)
                 return response
             except BaseException:
-                self._rearm(connection, self._request_s)
+                self._rearm(connection, REQUEST_TIMEOUT_S)
                 raise
 
         return timed

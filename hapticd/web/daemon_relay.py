@@ -28,11 +28,9 @@ _CONNECT_TIMEOUT_S: Final = 1.0
 class DaemonRelay:
     """The connection of one page to the daemon. Only the running event loop may use it."""
 
-    def __init__(
-        self, place: RuntimePaths, answer: Callable[[bytes], None], timeout_s: float = REPLY_TIMEOUT_S
-    ) -> None:
+    def __init__(self, place: RuntimePaths, answer: Callable[[bytes], None]) -> None:
         """Connect to the daemon at `place`. `answer` is called with every answer for the page."""
-        self._place, self._answer, self._timeout_s = place, answer, timeout_s
+        self._place, self._answer = place, answer
         self._under_way: dict[Id, asyncio.TimerHandle] = {}
         self._waiting: deque[tuple[Id, bytes, float]] = deque()
         """Calls that wait for a daemon, each with the time at which it fails."""
@@ -56,7 +54,7 @@ class DaemonRelay:
     def call(self, request: Request, body: bytes) -> None:
         """Pass a call on to the daemon, in the order of calls; the answer or an error goes to the function `answer`."""
         loop = asyncio.get_running_loop()
-        self._under_way[request.id] = loop.call_later(self._timeout_s, self._fail, request.id, None)
+        self._under_way[request.id] = loop.call_later(REPLY_TIMEOUT_S, self._fail, request.id, None)
         if self._waiting or not self._send(body):
             self._waiting.append((request.id, body, loop.time() + _CONNECT_TIMEOUT_S))
             if self._sender is None or self._sender.done():
@@ -89,7 +87,7 @@ class DaemonRelay:
         if timer is None:
             return
         timer.cancel()
-        text = problem or f"the daemon at {self._place.directory} did not answer within {self._timeout_s:g} s"
+        text = problem or f"the daemon at {self._place.directory} did not answer within {REPLY_TIMEOUT_S:g} s"
         self._answer(messages.error_reply(id, Code.DAEMON_AWAY, str(text)))
 
     async def _read(self) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from typing import Final
 
 from hapticd.web.token_bucket import Bucket
@@ -23,12 +21,12 @@ MAX_RECEIVED_BYTES_PER_S: Final = 8.0 * (1 << 20)
 class PageLimits:
     """The limits of one page: rates of its messages and calls, and its calls under way."""
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self) -> None:
         """Begin with full token buckets."""
-        self.streams = Bucket(MAX_STREAMS_PER_S, MAX_STREAMS_PER_S / 4, now)
-        self.calls = Bucket(MAX_CALLS_PER_S, MAX_CALLS_PER_S, now)
-        self._messages = Bucket(MAX_MESSAGES_PER_S, MAX_MESSAGES_PER_S / 4, now)
-        self._bytes = Bucket(MAX_RECEIVED_BYTES_PER_S, MAX_RECEIVED_BYTES_PER_S, now)
+        self.streams = Bucket(MAX_STREAMS_PER_S, MAX_STREAMS_PER_S / 4)
+        self.calls = Bucket(MAX_CALLS_PER_S, MAX_CALLS_PER_S)
+        self._messages = Bucket(MAX_MESSAGES_PER_S, MAX_MESSAGES_PER_S / 4)
+        self._bytes = Bucket(MAX_RECEIVED_BYTES_PER_S, MAX_RECEIVED_BYTES_PER_S)
 
     def pace(self, size: int) -> float:
         """Count a message of `size` bytes, and return how long to wait before the next one is read, in s."""

@@ -10,9 +10,7 @@ import hmac
 import os
 import re
 import secrets
-import time
 from collections import OrderedDict
-from collections.abc import Callable
 from typing import Final, Literal
 
 from hapticd.base.errors import HapticdError
@@ -49,7 +47,7 @@ CheckResult = Literal["right", "wrong", "later"]
 class Passwords:
     """Checks passwords against the hash in one file, with rate limits. Only the event loop may use it."""
 
-    def __init__(self, path: str, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, path: str) -> None:
         """Read the password file. Raises HapticdError if other users may read it or if it does not contain a hash."""
         name = printable(path)
         match = _LINE_PATTERN.fullmatch(
@@ -65,8 +63,7 @@ class Passwords:
         except binascii.Error:
             raise HapticdError(f"{name}: not a password file; {_CREATION_HINT}") from None
         self._cost = (n, r, p)
-        self._now = now
-        self._all = Bucket(_TRIES_OF_ALL_ADDRESSES[0], _TRIES_OF_ALL_ADDRESSES[1], now)
+        self._all = Bucket(*_TRIES_OF_ALL_ADDRESSES)
         self._addresses: OrderedDict[str, Bucket] = OrderedDict()
         self._one_at_a_time = asyncio.Lock()
 
@@ -82,7 +79,7 @@ class Passwords:
         return "right" if hmac.compare_digest(hashed, self._hash) else "wrong"
 
     def _may_try(self, address: str) -> bool:
-        of_address = self._addresses.setdefault(address, Bucket(*_TRIES_PER_ADDRESS, self._now))
+        of_address = self._addresses.setdefault(address, Bucket(*_TRIES_PER_ADDRESS))
         self._addresses.move_to_end(address)
         if len(self._addresses) > _MAX_TRACKED_ADDRESSES:
             self._addresses.popitem(last=False)

@@ -170,16 +170,14 @@ def fit(
     return PsychometricFit(shape, on_log, rising, x, right, of, found, box, standard)
 
 
-def bootstrap(
-    found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0, level: float = CONFIDENCE_LEVEL
-) -> dict[str, Estimate]:
+def bootstrap(found: PsychometricFit, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0) -> dict[str, Estimate]:
     """Return the PSYCHOMETRIC_FIGURES of a fit, with bootstrap intervals. Equal seeds give equal intervals."""
     generator = np.random.Generator(np.random.PCG64(seed))
     _, refitted = _resampled(found, generator, resamples)
     values, spread = figures_of(found, found.parameters[None]), figures_of(found, refitted)
     estimates = {}
     for name in PSYCHOMETRIC_FIGURES:
-        low, high = percentiles(spread[name], level)
+        low, high = percentiles(spread[name])
         estimates[name] = Estimate(float(values[name][0]), low, high)
     return estimates
 
