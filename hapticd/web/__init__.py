@@ -30,7 +30,6 @@ Further methods that a page may call:
 
     yaml_methods    methods of a page: the editors' schema, and files of scenes and materials
     editor_schema   the JSON Schema of materials, objects and scene, with units, for the editors
-    shipped_materials   the shipped materials, unchanged
     yaml_files      checks the text of a file; writes the scene and materials of the page as a file
     yaml_editing    changes a YAML text in place and keeps its comments
     recording_methods   methods and routes of recordings: record, list, download, delete, open and show

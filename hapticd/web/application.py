@@ -15,7 +15,7 @@ from aiohttp import web
 
 from hapticd.client.asynchronous import Client
 from hapticd.system.paths import RuntimePaths
-from hapticd.web import page_calls, page_methods, shipped_materials, yaml_methods
+from hapticd.web import page_calls, page_methods, yaml_methods
 from hapticd.web.connections import Connections
 from hapticd.web.page import MAX_PAGE_MESSAGE_BYTES, PAGE_READ_TIMEOUT_S, Method, Page
 from hapticd.web.recording_methods import Recordings
@@ -36,7 +36,6 @@ _SEND_BUFFER_BYTES: Final = 256 << 10
 WEB_PAGE_METHODS: Final[dict[str, Method]] = {
     **page_methods.BASE_PAGE_METHODS,
     **yaml_methods.YAML_PAGE_METHODS,
-    **shipped_materials.SHIPPED_MATERIALS_PAGE_METHODS,
 }
 """Methods of this process that a page may call, by name, except the methods for recordings.
 

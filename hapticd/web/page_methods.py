@@ -1,12 +1,14 @@
-"""Methods of this process that every page needs: version and state, subscriptions, an address for another browser."""
+"""Methods of this process for every page: version and state, subscriptions, another address, shipped materials."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from typing import Final
 
 from hapticd._version import __version__
 from hapticd.base.errors import HapticdError
+from hapticd.config.materials import shipped_materials
 from hapticd.web.page import Method, Page
 from hapticd.web.page_lease import MAX_PAGE_LEASE_S
 from hapticd.web.telemetry_hub import HUB_TOPICS
@@ -35,8 +37,15 @@ async def _new_address(page: Page, _: Mapping[str, object]) -> object:
     return {"address": page.new_address()}
 
 
+async def _shipped_materials(_: Page, params: Mapping[str, object]) -> object:
+    """Answer web.shipped_materials: `materials` by name, each in the form of get_materials."""
+    shipped = await asyncio.to_thread(shipped_materials)
+    return {"materials": {name: material.to_dict() for name, material in shipped.items()}}
+
+
 BASE_PAGE_METHODS: Final[dict[str, Method]] = {
     "web.hello": _hello,
     "web.subscribe": _subscribe,
     "web.new_address": _new_address,
+    "web.shipped_materials": _shipped_materials,
 }
