@@ -15,8 +15,8 @@ from hapticd.base.errors import HapticdError
 from hapticd.experiment.front import Choice, Command, Seen, Shown
 from hapticd.experiment.pages import screens
 from hapticd.experiment.pages.pages_front import PagesFront
+from hapticd.experiment.pages.participant_page import drawn_at
 from hapticd.experiment.pages.presence import Presence
-from hapticd.experiment.pages.stylus import drawn_at
 from tests.experiment.sessions import STUDY, NotedStage, planned, resumed, started
 from tests.support.daemon_process import PATIENCE_S
 

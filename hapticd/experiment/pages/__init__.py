@@ -7,8 +7,7 @@ The session runs in a thread, the servers of the pages in the event loop of the 
     screens             content of the participant's page
     console             content of the experimenter's page
     presence            detects which pages are open and respond
-    participant_page    methods of the participant's page, and the stylus that it draws
-    stylus              position at which the stylus is drawn, never below a surface
+    participant_page    methods of the participant's page, and the stylus that it draws, never below a surface
     experimenter_page   methods of the experimenter's page
 
 `static/` holds the files of both pages, which also use hapticd/web/static.

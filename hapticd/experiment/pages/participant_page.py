@@ -13,16 +13,15 @@ switch the forces off, because it never has a lease.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, cast
 
 from hapticd.base.codec import encode
 from hapticd.base.core import Flag
 from hapticd.base.errors import HapticdError
-from hapticd.experiment.front import Command
+from hapticd.experiment.front import Command, Seen
 from hapticd.experiment.pages.pages_front import PagesFront
 from hapticd.experiment.pages.presence import Presence
-from hapticd.experiment.pages.stylus import drawn_at
 from hapticd.protocol import messages
 from hapticd.web.page import Method, Page
 
@@ -90,6 +89,23 @@ def methods(front: PagesFront, presence: Presence, hand: bool) -> dict[str, Meth
         "participant.answer": answer,
         "participant.stop": stop,
     }
+
+
+def drawn_at(position_m: tuple[float, float], touches: bool, surfaces: Sequence[Seen]) -> tuple[float, float]:
+    """Return the position in m at which the stylus is drawn for a handle at `position_m`.
+
+    If the handle touches an object, the stylus is drawn at the height of the surface above it, also beyond the end of
+    the surface and at the side of a box: no depth is visible, as it would reveal the stiffness of the material. Of
+    several surfaces, the one with the smallest distance beyond its end is used. A handle that touches nothing, also
+    behind a punctured membrane, is drawn at `position_m`.
+    """
+    x, y = position_m
+    found = [(*each.from_surface(position_m), each.normal) for each in surfaces] if touches else []
+    below = [each for each in found if each[1] < 0.0]
+    if not below:
+        return x, y
+    _, above, (n_x, n_y) = min(below)
+    return x - above * n_x, y - above * n_y
 
 
 class StylusRelay:
