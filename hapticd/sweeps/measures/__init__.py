@@ -9,7 +9,7 @@
     loop                 difference between the sampled loop and the continuous loop
     continuous_wall      the continuous loop of a hand and one wall, in closed form
     onset                error of the reported time of a touch
-    user_function        a Python function of the user
+    user_function        a Python function of the user, with the source of its module
 
 Measures without a run:
 
@@ -21,7 +21,6 @@ Measures without a run:
 User functions:
 
     sweep_point          the argument of the function
-    function_source      finds and reads the source of its module
     function_values      checks its return value
     function_process     the process that calls it, which is killed on a time-out
     function_host        the code that runs in that process

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Final
 
 from pydantic import Field, StringConstraints
 
-from hapticd.base.errors import HapticdError, InvalidError, Problem
+from hapticd.base.errors import HapticdError, InvalidError, Problem, collapse_whitespace
 from hapticd.base.model import Model
 from hapticd.base.yaml_source import Json
 from hapticd.sweeps.columns import Column, Kind, Row
 from hapticd.sweeps.measures.function_process import Function, FunctionProcess, process_of
-from hapticd.sweeps.measures.function_source import source_of
 from hapticd.sweeps.measures.sweep_point import SweepPoint
 from hapticd.sweeps.point import Point
 
@@ -24,6 +25,8 @@ _ADDED_OPTIONS: Final = ("source", "file", "folder")
 """Options that are added when a study is read; users do not set them."""
 _NON_IDENTITY_OPTIONS: Final = ("file", "folder", "timeout_s")
 """Options that results do not depend on."""
+_MAX_SOURCE_BYTES: Final = 4 << 20
+"""Largest size of a module that is sent to workers."""
 
 
 class FunctionOptions(Model):
@@ -92,8 +95,8 @@ def with_source(options: Mapping[str, Json], folder: str) -> dict[str, Json]:
     parsed = FunctionOptions.model_validate(given)
     module = parsed.call.partition(":")[0]
     try:
-        found = source_of(module, folder)
-        complete: dict[str, Json] = {**given, "source": found.text, "file": found.file, "folder": folder}
+        file, source = source_of(module, folder)
+        complete: dict[str, Json] = {**given, "source": source, "file": file, "folder": folder}
         UserFunction(FunctionOptions.model_validate(complete)).check()
     except HapticdError as error:
         raise InvalidError([Problem("call", str(error))]) from None
@@ -103,3 +106,39 @@ def with_source(options: Mapping[str, Json], folder: str) -> dict[str, Json]:
 def identity_options(options: Mapping[str, Json]) -> dict[str, Json]:
     """Return the options of a user's function on which results depend."""
     return {key: value for key, value in options.items() if key not in _NON_IDENTITY_OPTIONS}
+
+
+# ---- The source of the module ---------------------------------------------------------------------------------------
+
+
+def source_of(module: str, folder: str) -> tuple[str, str]:
+    """Return path and source of a module in `folder`; if it is not there, of the file that Python would import.
+
+    Raises HapticdError (one line).
+    """
+    path = Path(folder, *module.split("."))
+    for file in (path.with_name(f"{path.name}.py"), path / "__init__.py"):
+        if file.is_file():
+            return _source_in(str(file))
+    try:
+        spec = find_spec(module)
+    except Exception as error:  # parent packages are imported, which may raise any exception
+        why = collapse_whitespace(f"{type(error).__name__}: {error}")
+        raise HapticdError(f"{module} cannot be found: {why}") from None
+    if spec is None:
+        raise HapticdError(f"no module {module}, neither as {module}.py in {folder} nor on Python's path")
+    if spec.origin is None or not spec.origin.endswith(".py"):
+        raise HapticdError(f"{module} is not a Python file; workers need its source")
+    return _source_in(spec.origin)
+
+
+def _source_in(file: str) -> tuple[str, str]:
+    try:
+        content = Path(file).read_bytes()
+        if len(content) > _MAX_SOURCE_BYTES:
+            raise HapticdError(f"{file} is larger than {_MAX_SOURCE_BYTES >> 20} MiB")
+        return file, content.decode()
+    except OSError as error:
+        raise HapticdError(f"{file} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise HapticdError(f"{file} is not UTF-8") from None
