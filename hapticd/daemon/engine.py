@@ -157,7 +157,6 @@ class Engine:
             raise
 
     def _make(self) -> None:
-        """Open the configured device, and make the servo for the device."""
         config, servo = self.config, self.config.servo
         sim = config.device.sim
         resolution_m, report_age_s = sim.encoder_step_m, sum(sim.reports_s)

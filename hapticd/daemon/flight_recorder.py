@@ -168,7 +168,6 @@ class Flight:
         self._hand_over(due)
 
     def _knows_newest(self) -> bool:
-        """Return whether the scene of the newest sample is known."""
         if self._count == 0:
             return True
         newest = self._samples.view(SAMPLE_DTYPE)[(self._count - 1) % len(self._samples)]

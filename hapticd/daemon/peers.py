@@ -94,7 +94,6 @@ class TurnQueue:
     """
 
     def __init__(self) -> None:
-        """Make an empty queue."""
         self._users: OrderedDict[int, OrderedDict[int, deque[Peer]]] = OrderedDict()
 
     def __bool__(self) -> bool:

@@ -46,7 +46,6 @@ class Queue:
     __slots__ = ("_bytes", "_messages", "dropped")
 
     def __init__(self) -> None:
-        """Make an empty queue."""
         self._messages: deque[tuple[bytes, bytes]] = deque()
         self._bytes = 0
         self.dropped = 0
@@ -199,7 +198,6 @@ class Publisher(Peers):
             self._log_loss(peer, queue)
 
     def _log_losses(self) -> None:
-        """Log how many messages were dropped for each subscriber, at most once a second."""
         if time.monotonic() >= self._reported_s + _LOSS_LOG_INTERVAL_S:
             self._reported_s = time.monotonic()
             for peer, queue in self._queues.items():

@@ -13,7 +13,6 @@ class MethodError(Exception):
     """A request is refused; the exception has the members of the answer's error object."""
 
     def __init__(self, code: Code, message: str, data: object = None) -> None:
-        """Store the code, the message and the optional `data` of the error object."""
         super().__init__(message)
         self.code = code
         self.message = message

@@ -46,7 +46,6 @@ class Router(Peers):
     partners = frozenset((b"DEALER", b"REQ", b"ROUTER"))
 
     def __init__(self, listening: socket.socket, limits: Limits = COMMAND_SOCKET_LIMITS) -> None:
-        """Serve the clients of the socket `listening`."""
         super().__init__(listening, limits)
 
     def receive(self, timeout_s: float) -> Request | None:

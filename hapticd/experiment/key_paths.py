@@ -50,7 +50,6 @@ def invalid_in(document: Document, base: Document | None, faults: Iterable[tuple
 
 @cache
 def _shipped() -> dict[str, Json]:
-    """Return the shipped materials as plain data."""
     return {name: material.to_dict() for name, material in shipped_materials().items()}
 
 

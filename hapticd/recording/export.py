@@ -181,7 +181,6 @@ def _write_mcap(samples: Samples, events: Events, texts: Texts, utc_offset_ns: i
 
 
 def _sample_schema() -> str:
-    """Return the ros2msg definition of a sample."""
     lines = []
     for name in SAMPLE_DTYPE.names or ():
         base, shape = SAMPLE_DTYPE[name].base, SAMPLE_DTYPE[name].shape

@@ -368,7 +368,6 @@ class _PartialFile:
         return os.pread(self._file.fileno(), size, at)
 
     def cut(self, size: int) -> None:
-        """Truncate the file to `size` bytes."""
         os.ftruncate(self._file.fileno(), size)
         self.size = size
 

@@ -38,7 +38,6 @@ class Outbox:
     """The queue of messages to one page. Only the event loop may use it."""
 
     def __init__(self) -> None:
-        """Make an empty queue."""
         self._answers: deque[bytes] = deque()
         self._answer_bytes = 0
         self._telemetry: deque[_Waiting] = deque()
@@ -48,7 +47,6 @@ class Outbox:
         """Number of dropped messages of telemetry, by topic."""
 
     def __len__(self) -> int:
-        """Return the number of waiting messages."""
         return len(self._answers) + sum(map(len, self._of_topic.values()))
 
     def answer(self, message: bytes) -> None:

@@ -22,7 +22,6 @@ class PageLimits:
     """The limits of one page: rates of its messages and calls, and its calls under way."""
 
     def __init__(self) -> None:
-        """Begin with full token buckets."""
         self.streams = Bucket(MAX_STREAMS_PER_S, MAX_STREAMS_PER_S / 4)
         self.calls = Bucket(MAX_CALLS_PER_S, MAX_CALLS_PER_S)
         self._messages = Bucket(MAX_MESSAGES_PER_S, MAX_MESSAGES_PER_S / 4)

@@ -73,7 +73,6 @@ class RecordingFolder:
     """The folder of recordings, which is made for the first recording."""
 
     def __init__(self, path: Path) -> None:
-        """Use the folder `path`."""
         self.path = path
 
     def list(self) -> list[Listed]:

@@ -17,7 +17,6 @@ class Sessions:
     """The tokens and sessions of this process; all become invalid when it ends."""
 
     def __init__(self) -> None:
-        """Begin without tokens and sessions."""
         self._sessions: OrderedDict[str, None] = OrderedDict()
         self._tokens: OrderedDict[str, None] = OrderedDict()
 

@@ -27,7 +27,6 @@ class Uploads:
     """Uploaded files that wait to be opened, each with the token that its upload returned."""
 
     def __init__(self) -> None:
-        """Begin without uploaded files."""
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._waiting: dict[str, Path] = {}
 

@@ -223,5 +223,4 @@ def _entry(name: str, value: Json, pad: int) -> list[str]:
 
 
 def _is_leaf(mapping: dict[str, Json]) -> bool:
-    """Return whether a mapping contains no other mapping."""
     return not any(isinstance(value, dict) for value in mapping.values())
