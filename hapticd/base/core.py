@@ -86,7 +86,6 @@ TUNE_NODE_NUMBERS: int = lib.HD_TUNE_NODE
 KEPT_TAP_GAINS: int = lib.HD_KEPT_GAINS
 """Count of values for the gains of one mode of a compensated tap: enum hd_kept_number, as above."""
 MAX_WAVEFORM_SAMPLES: int = lib.HD_WAVE_SAMPLES
-"""Maximum number of samples of a tap's waveform."""
 WAVEFORM_PARTS: int = lib.HD_WAVE_PARTS
 """Number of equal parts of a waveform; the table holds the largest magnitude after the start of each part."""
 MAX_FORCE_DELAY_FRAMES: int = lib.HD_SIM_FORCES

@@ -21,13 +21,11 @@ import yaml
 from hapticd.base.errors import HapticdError, InvalidError, Problem, path_text, quoted, shown
 
 LINE_BREAKS = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
-"""Line breaks of YAML."""
 MAX_DEPTH = 32
 """Maximum nesting of mappings and lists."""
 _TOO_DEEP = "exceeded maximum nesting depth"
 """Text of the depth check of libyaml from 0.2.6 on (PyYAML 6.0.4), which may precede the check of this module."""
 MAX_YAML_BYTES = 2 * 1024 * 1024
-"""Maximum size of a YAML file."""
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 """Plain data: what YAML, JSON and msgpack have in common."""

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from hapticd.sweeps.batches.ranking import MaterialResult
 
 _MAX_RANKING_ROWS: Final = 100
-"""Maximum number of rows of a printed ranking."""
 _REDIRECTED_RANKING_WIDTH: Final = 4096
 """Largest width of a ranking that is not printed to a terminal, in characters."""
 

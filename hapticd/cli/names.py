@@ -86,4 +86,3 @@ materials = _completion_of(
 )
 """Completion of the materials of the daemon, or of the shipped materials if the daemon does not answer."""
 objects = _completion_of(lambda ctx: _keys_from_daemon(ctx, lambda client: client.get_scene()["scene"].get("objects")))
-"""Completion of the objects in the scene of the daemon."""

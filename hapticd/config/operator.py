@@ -320,6 +320,7 @@ class _Path:
             self._add(distance / speed)
 
     def stay(self, duration_s: float) -> None:
+        """Keep the hand still for `duration_s`."""
         self._add(duration_s)
 
     def begin(self, at: float, height: float) -> None:

@@ -25,11 +25,9 @@ from hapticd.protocol.events import event_map
 from hapticd.system.journal import EventLog
 
 SAMPLES_INTERVAL_S: Final = 0.020
-"""Interval of the batches of the topic `samples`."""
 STATE_INTERVAL_S: Final = 1.0 / 60.0
 """Interval of the topic `state`: a usual display's frame rate."""
 STATUS_INTERVAL_S: Final = 1.0
-"""Interval of the topic `status`."""
 TELEMETRY_TOPICS: Final = ("samples", "state", "event", "change", "status")
 
 _MAX_EVENT_READS: Final = 2

@@ -48,7 +48,6 @@ class StudyReport:
     """Whether fewer trials may be needed: a procedure can end by a criterion, and wrong answers can end the test."""
     cells: tuple[CellCount, ...]
     breaks: int
-    """Number of breaks."""
     minutes: float
     """Duration of a session in minutes: `expected_s` for each trial, plus the shortest duration of each break."""
     expected_s: float

@@ -19,7 +19,6 @@ STAGE_CHECK_INTERVAL_S: Final = 0.5
 """Time between two checks that the forces are still on (`Stage.check`), while a front waits for the participant."""
 CommandKind: TypeAlias = Literal["pause", "repeat", "abort", "note"]
 COMMAND_KINDS: Final[tuple[CommandKind, ...]] = ("pause", "repeat", "abort", "note")
-"""Commands that the experimenter can give."""
 QuestionKind: TypeAlias = Literal["choice", "ranking", "slider", "number", "text", "measure"]
 
 
@@ -65,7 +64,6 @@ class Shown:
     """Whether fewer trials may be needed: a procedure can end by a criterion, and wrong answers can end the test."""
     phase: str
     stimuli: int
-    """Number of stimuli."""
     in_places: bool
     """Whether the stimuli are side by side; if not, they follow one another in intervals."""
     surfaces: tuple[Seen, ...]

@@ -31,7 +31,6 @@ MAX_TRIALS: Final = 100_000
 MAX_STIMULI_PER_TRIAL: Final = len(POSITION_MEANINGS)
 """Largest number of stimuli in a trial: an answer can name no other position."""
 MAX_FACTOR_LEVELS: Final = 10_000
-"""Largest number of levels of a factor."""
 
 
 Level: TypeAlias = PlainScalar

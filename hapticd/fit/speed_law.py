@@ -137,7 +137,6 @@ class Law:
     rank_correlation: float
     """Spearman's rank correlation of speed and amplitude."""
     why: str
-    """Reason for the chosen law, in words."""
 
     @property
     def named(self) -> str:

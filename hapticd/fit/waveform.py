@@ -260,7 +260,6 @@ class Shape:
     pulses: tuple[Pulse, ...]
     fitted: tuple[FittedPulse, ...]
     rate_hz: float
-    """Sampling rate of the waveform."""
     samples: Floats
     """Samples (count,) of the waveform."""
 
@@ -469,7 +468,6 @@ class WaveformFit(Fit):
     amplitudes: Amplitudes
     """Table of rising speeds, m/s, and amplitudes, m/s^2. Empty if the law is a line."""
     rate_hz: float
-    """Sampling rate of the waveform."""
     samples: tuple[float, ...]
     """Samples of the curve, whose largest magnitude is 1."""
     deviations: tuple[float, ...]

@@ -33,7 +33,6 @@ GENERIC_DRIVER: Final = "hid-generic"
 REBIND_TIMEOUT_S: Final = 5.0
 """After a device was bound to a driver, its hidraw node must exist within this time."""
 _UDEVADM_TIMEOUT_S: Final = 5.0
-"""Time limit of one udevadm command."""
 _ACL_ATTRIBUTE: Final = "system.posix_acl_access"
 """Extended attribute with the access list by which udev lets the user at the seat open a device node."""
 _HIDDEN_BY_RULE: Final = ": a line in 70-hapticd.rules already lets only root open its event nodes"

@@ -14,13 +14,11 @@ from hapticd.base.codec import encode
 Kind: TypeAlias = Literal["target", "force"]
 
 STREAM_KIND_BY_METHOD: Final[dict[str, Kind]] = {"stream_target": "target", "stream_force": "force"}
-"""The methods of streams, each with the kind of its stream."""
 VECTOR_PARAM_BY_KIND: Final[dict[Kind, str]] = {"target": "position_m", "force": "force_n"}
 """The parameter of each kind that holds the vector; the other parameter is `seq`."""
 MAX_COMPONENT_BY_KIND: Final[dict[Kind, float]] = {"target": 10.0, "force": 100.0}
 """Largest coordinate of a target, in m, and largest component of a force, in N."""
 MAX_SEQ: Final = 2**63 - 1
-"""Largest sequence number."""
 
 
 class Streamed(NamedTuple):

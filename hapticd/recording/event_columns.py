@@ -45,7 +45,6 @@ EVENT_MEMBER_KINDS: Final[dict[str, Kind]] = {
 """Types of the members of events, which docs/reference/events.md describes."""
 
 COMMON_EVENT_MEMBERS: Final = ("event", "tick", "time_ns")
-"""Members that every event has."""
 
 EVENT_MEMBER_SCHEMAS: Final[dict[str, object]] = {
     **{name: {"type": kind.value} for name, kind in EVENT_MEMBER_KINDS.items()},

@@ -17,7 +17,6 @@ from hapticd.sweeps.interrupts import deferred_interrupts
 from hapticd.system.extras import install_command
 
 SCHEDULER_TIMEOUT_S: Final = 10.0
-"""Time in s within which a scheduler must answer."""
 WORKERS_START_TIMEOUT_S: Final = 120.0
 """Time in s within which all local worker processes must start, also on a busy machine."""
 WORKER_END_TIMEOUT_S: Final = 1.0

@@ -11,7 +11,6 @@ from hapticd.sweeps.refine import BOUNDARY_COLUMN
 from hapticd.sweeps.results import Results
 
 MAX_DEFAULT_FIGURES: Final = 6
-"""Largest number of default figures."""
 _MIN_MAP_VALUES: Final = 5
 """Two keys with at least 5 values each are drawn as a map; with fewer values, a line for each value is clearer."""
 

@@ -17,7 +17,6 @@ ColumnName: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_lengt
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 MAX_FIGURE_COLUMNS: Final = 12
-"""Largest number of columns in one figure."""
 
 
 Columns: TypeAlias = Annotated[

@@ -22,7 +22,6 @@ Spacing: TypeAlias = Literal["linear", "logarithmic"]
 MAX_SWEEP_POINTS: Final = 10_000_000
 """Maximum number of points of a study: their identities and indices take 240 MB."""
 MAX_SCAN_STEPS: Final = 10_000
-"""Largest number of steps of `refine.scan`."""
 DRAWING_COMBINES: Final = ("latin_hypercube", "random")
 """The values of `combine` that draw points at random."""
 

@@ -15,7 +15,6 @@ from hapticd.sweeps.figures import Drawing, title_of
 from hapticd.sweeps.results import Results, best_of, with_values
 
 MAX_TABLE_ROWS: Final = 1000
-"""Maximum number of rows of a table on the page."""
 
 
 def page(results: Results, drawings: Sequence[Drawing]) -> str:

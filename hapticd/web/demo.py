@@ -19,7 +19,6 @@ from hapticd.protocol import places
 from hapticd.system.paths import RuntimePaths, daemon_paths
 
 DEMO_CONFIG_PATH: Final = Path(__file__).parents[1] / "shipped" / "play.yaml"
-"""Configuration of the demo's daemon."""
 _READY_TIMEOUT_S: Final = 60.0
 """Time in which the daemon must start; long, for slow machines."""
 _END_TIMEOUT_S: Final = 5.0

@@ -34,7 +34,6 @@ _NULL_SCHEMA: Final = {"type": "null"}
 _COMBINATION_KEYWORDS: Final = ("allOf", "anyOf", "oneOf", "not", "if", "then")
 """Keywords of an object's schema that say which members may be combined."""
 _TEXTURE_KINDS: Final = ("grooves", "stochastic", "autoregressive")
-"""Values of `kind` of a texture."""
 
 
 @cache

@@ -24,7 +24,6 @@ MIN_PASSWORD_CHARACTERS: Final = 8
 MAX_PASSWORD_BYTES: Final = 1024
 """Longest password, in UTF-8."""
 _MAX_PASSWORD_FILE_BYTES: Final = 4096
-"""Largest password file."""
 _SCRYPT_N, _SCRYPT_R, _SCRYPT_P = 1 << 15, 8, 1
 """Costs of scrypt for new files: 32 MiB and about 0.1 s for each try."""
 _SCRYPT_MEMORY_BYTES: Final = 64 << 20

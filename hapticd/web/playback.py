@@ -41,7 +41,6 @@ _SHOWN_EVENT_KINDS: Final = frozenset(
         "gesture_end",
     )
 )
-"""Kinds of events that a page shows."""
 
 _COMPONENT_COLUMNS: Final = {
     "x_m": ("position_m", 0),

@@ -30,11 +30,8 @@ MAX_RECORDING_S: Final = 86_400.0
 _MIN_FREE_BYTES: Final = 64 << 20
 """Free disk space that is needed to begin a recording."""
 _MAX_NOTES: Final = 20
-"""Largest number of notes of a recording."""
 _MAX_NOTE_CHARACTERS: Final = 4000
-"""Longest text of a note."""
 _MAX_NOTE_KEY_CHARACTERS: Final = 64
-"""Longest name of a note."""
 
 
 @dataclass(slots=True)

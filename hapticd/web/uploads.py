@@ -16,7 +16,6 @@ from hapticd.base.errors import HapticdError
 from hapticd.web.connections import extend_deadline
 
 MAX_UPLOAD_BYTES: Final = 512 << 20
-"""Largest file that may be uploaded."""
 MAX_WAITING_UPLOADS: Final = 4
 """Maximum number of uploaded files that wait to be opened; the oldest is removed first."""
 _UPLOAD_BLOCK_BYTES: Final = 1 << 18

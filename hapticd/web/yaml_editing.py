@@ -19,7 +19,6 @@ from hapticd.base.yaml_text import flow_text
 _YAML_LOADER: Final = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
 """PyYAML's loader that finds positions and does not convert values."""
 _LINE_END_PATTERN: Final = re.compile(r"\r\n|[\n\r\x85\u2028\u2029]|\Z")
-"""End of a line, as YAML defines it."""
 _MAX_LINE_CHARACTERS: Final = 100
 """Longest line for an added mapping; a longer mapping is written as a block."""
 

@@ -29,7 +29,6 @@ _PLACE_PATTERN: Final = re.compile(r"(\d+):(\d+)(?:: (.*))?$", re.DOTALL)
 _FIRST_LINE: Final = (
     "# Scene and materials as they were on the page of hapticd web; `hapticd check -c FILE` reads it again.\n"
 )
-"""First line of a new file."""
 
 _Map = dict[str, Json]
 
@@ -104,7 +103,6 @@ class Saved:
     kept: bool
     """Whether comments, order and layout of the opened file were kept."""
     materials: list[str]
-    """Names of the materials in the file."""
 
 
 def saved(

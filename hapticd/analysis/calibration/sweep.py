@@ -31,7 +31,6 @@ FIRST_BURST_HZ: Final = 60.0
 MAX_BURST_HZ: Final = 1600.0
 """Highest frequency of a drive with an accelerometer, as in the measurements of the paper."""
 BURST_DECAYS: Final = 3.0
-"""Length of a burst in decay times."""
 MAX_BURST_FORCE_FRACTION: Final = 0.8
 """Largest force of a burst as a fraction of the force limit; the rest is a reserve for the spring."""
 BURST_LEAD_TIME_S: Final = 0.06

@@ -34,7 +34,6 @@ from hapticd.protocol.streams import STREAM_KIND_BY_METHOD as STREAMS
 # ---- OpenRPC ---------------------------------------------------------------------------------------------------------
 
 OPENRPC_VERSION: Final = "1.3.2"
-"""The version of the OpenRPC specification."""
 _EMPTY_MAP_SCHEMA: Final[dict[str, Json]] = {"type": "object", "description": "An empty map."}
 _ABOUT_REQUESTS: Final = """\
 The requests of hapticd's command socket. `docs/protocol.md` explains all members. Quantities are in SI units; the
@@ -122,7 +121,6 @@ def _param(name: str, schema: dict[str, Json], required: bool) -> Json:
 # ---- AsyncAPI --------------------------------------------------------------------------------------------------------
 
 ASYNCAPI_VERSION: Final = "3.0.0"
-"""The version of the AsyncAPI specification."""
 _MSGPACK_MEDIA_TYPE: Final = "application/msgpack"
 _ABOUT_TELEMETRY: Final = """\
 The telemetry that hapticd publishes, and the messages that clients stream to it. `docs/reference/telemetry.md`,

@@ -50,7 +50,6 @@ from hapticd.experiment.analysis.psychometric_shapes import (
 PSYCHOMETRIC_FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
 """Names of the figures of a fit. The docstring of the module defines them."""
 BOOTSTRAP_RESAMPLES: Final = 2000
-"""Default number of resamples of a bootstrap."""
 _STEP_MARGIN: Final = 0.05
 """A fitted function F that is within this distance of 0 or 1 at every level counts as a step. Resampled answers would
 equal the original ones, and the interval of the threshold would have no width.

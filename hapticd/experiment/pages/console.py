@@ -58,7 +58,6 @@ class Console:
     auto: bool = False
     """Whether trials begin automatically."""
     lines: list[str] = field(default_factory=list)
-    """The newest lines of the log."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the state of the session as JSON data, for the experimenter's page."""

@@ -77,7 +77,6 @@ class QuestPlusParameters(CheckedTogether):
 
     kind: Literal["quest_plus"] = "quest_plus"
     levels: Values
-    """Levels that may be shown."""
     thresholds: Values | None = None
     """Thresholds of the grid; None means the levels."""
     slopes: Values

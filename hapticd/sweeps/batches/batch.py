@@ -41,7 +41,6 @@ FIT_COLUMNS: Final = (
     Column("found", "text", "measured", description="Figures, provenance and plots, as JSON."),
     ERROR_COLUMN,
 )
-"""Columns of the result table of a batch."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,6 @@ from hapticd.sweeps.batches.folder_yaml import (
 )
 
 FIT_KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-"""All kinds of fits."""
 _KINDS_TEXT: Final = ", ".join(FIT_KINDS[:-1]) + " or " + FIT_KINDS[-1]
 """All kinds of fits, as text for errors."""
 
