@@ -225,9 +225,7 @@ class Device(Model):
     sim: Sim = Field(default=Sim(), description="The simulated joystick.")
     hid: Hid = Field(default=Hid(), description="A HID joystick; for a replay, how its reports are decoded.")
     replay: Replay | None = Field(default=None, description="The recording that is played.")
-    handle: Handle | None = Field(
-        default=None, description="The handle of a real joystick; by default that of the simulated one."
-    )
+    handle: Handle | None = Field(default=None, description="The handle of a real joystick; by default that of `sim`.")
     grip: Grip | None = Field(default=None, description="The hand; by default the simulated one, or none.")
     actuator: Actuator | None = Field(
         default=None, description="Lag of the actuator; by default that of the simulated one, or none."
