@@ -249,16 +249,15 @@ def arrival(link: Link | None, begin: int, rate_hz: float, mode: Mode) -> int:
     if link is None:
         return begin * PARTS_PER_PERIOD
     frame = rate_hz / link.rate_hz
-    events = np.arange(math.ceil(5.0 / mode.decay_rate_per_s * min(rate_hz, link.rate_hz)))
+    events = np.arange(math.ceil(5.0 / mode.decay_rate_per_s * min(rate_hz, link.rate_hz)), dtype=np.float64)
     if link.rate_hz >= rate_hz:
         ticks = begin + events
-        frames = (np.floor(ticks / frame * (1 + 1e-12)) + 1) * frame
+        waits = (np.floor(ticks / frame * (1 + 1e-12)) + 1) * frame - ticks
     else:
         frames = (math.floor(begin / frame * (1 + 1e-12)) + 1 + events) * frame
-        ticks = np.ceil(frames * (1 - 1e-12)) - 1
-    waited = float(
-        np.average(frames - ticks, weights=np.exp(-2.0 * mode.decay_rate_per_s / rate_hz * (ticks - ticks[0])))
-    )
+        waits = frames - (np.ceil(frames * (1 - 1e-12)) - 1)
+    decay_per_event = mode.decay_rate_per_s / min(rate_hz, link.rate_hz)
+    waited = float(np.average(waits, weights=np.exp(-2.0 * decay_per_event * events)))
     return round((begin + waited + (link.delay_frames - 1) * frame) * PARTS_PER_PERIOD)
 
 
