@@ -459,7 +459,9 @@ class Methods:
             if isinstance(error, MethodError):
                 raise error.below(where) from None
             problems = error.problems if isinstance(error, InvalidError) else (Problem("", str(error)),)
-            raise InvalidError([Problem(f"{where}{each.where}", each.problem) for each in problems]) from None
+            raise InvalidError(
+                [Problem(f"{where}{each.where}" if each.where else files, each.problem) for each in problems]
+            ) from None
         count = wording.count(len(changed_ids), "object")
         self._log_reload(logging.INFO, f"reloaded: revision {changed.revision}, {count} changed")
         return changed

@@ -59,6 +59,8 @@ _ONSETS_IN_FRAME: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Onsets of a strike that a slow link samples, in frames before the first sample: the middles of fifths of a frame."""
 _MODE_TIME_CONSTANTS: Final = 5.0
 """A mode ends five time constants after its last strike."""
+_MIN_INDEPENDENCE: Final = 1e-10
+"""Columns of length 1 are dependent if one of them is nearer than this to a combination of the others."""
 _PEAK_GRID_SAMPLES: Final = 512
 """Number of times at which the force of a strike is computed to find its peak."""
 
@@ -394,13 +396,19 @@ class _Band:
 
 
 def bounded_least_squares(columns: _Floats, target: _Floats, rows: _Floats, bounds: _Floats) -> _Floats | None:
-    """Return the x with rows @ x <= bounds that has the least |columns @ x - target|; None if there is none.
+    """Return the x with rows @ x <= bounds that has the least |columns @ x - target|.
+
+    Returns None if there is none, or if the columns are dependent: the sampled mode is too short.
 
     With columns = Q R this is the least z = R x - Q' target with rows R^-1 z <= bounds - rows R^-1 Q' target, and that
     is a least-squares problem with non-negative unknowns (Lawson and Hanson 1974, chapter 23).
     """
     scale = np.linalg.norm(columns, axis=0)
+    if not scale.all():
+        return None
     base, triangle = np.linalg.qr(columns / scale)
+    if np.abs(np.diag(triangle)).min() < _MIN_INDEPENDENCE:
+        return None
     inverse = np.linalg.inv(triangle)
     free = base.T @ target
     limits, excess = rows / scale @ inverse, rows / scale @ inverse @ free - bounds

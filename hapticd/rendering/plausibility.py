@@ -48,7 +48,7 @@ class Range:
 
     def problem(self, value: float) -> str | None:
         """Return the warning of a value outside the range, with the value that it would be if it is in `other_unit`."""
-        if value == 0.0 or self.low <= value <= self.high:
+        if value == 0.0 or self.low <= value <= self.high or f"{value:g}" in (f"{self.low:g}", f"{self.high:g}"):
             return None
         compared, limit = ("below", self.low) if value < self.low else ("above", self.high)
         converted = value * self.factor

@@ -194,6 +194,15 @@ def test_compensation_behind_a_slow_link_lessens_the_error(link_hz: float, most:
     assert errors["full"] < min(most, 0.5 * errors["off"])
 
 
+@pytest.mark.parametrize(("rate_hz", "link_hz"), [(1000, 999.7), (8000, 7999.99), (10_000, 3333), (1000, 1001)])
+def test_a_link_whose_frames_drift_past_the_ticks_is_late_and_that_is_no_error(rate_hz: float, link_hz: float) -> None:
+    """The age of a force at its frame is that of this strike, not the mean over all strikes."""
+    config = config_of(rate_hz, handle_mass_kg=0.1, link={"rate_hz": link_hz})
+    device = config.device.model_copy(update={"compensation": "full"})
+    played, (_, verdict) = displayed(config.model_copy(update={"device": device}), WOOD, WOOD)
+    assert strike_error(WOOD.mode, played.output) == pytest.approx(verdict.error, abs=0.02)
+
+
 def test_a_strike_beyond_the_limit_is_weaker() -> None:
     config = load_config({"device": {"kind": "sim", "max_force_n": 0.3}})
     _, (verdict,) = displayed(config, WOOD)

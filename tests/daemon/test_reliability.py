@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Flag, records
+from hapticd.base.errors import HapticdError
 from hapticd.base.steps import finish
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.modes import Mode
@@ -488,6 +489,18 @@ def test_a_reload_pauses_while_files_are_read() -> None:
         next(steps)
     read.set()
     assert cast(dict[str, object], finish(steps))["revision"] == engine.revision
+
+
+def test_a_reload_that_the_servo_refuses_names_the_files_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = simulated()
+
+    def refuse(*_: object) -> int:
+        raise HapticdError("the scene cannot be rendered: no memory")
+
+    monkeypatch.setattr(engine, "take", refuse)
+    with pytest.raises(MethodError) as caught:
+        Methods(engine, lambda: (engine.config, "/etc/a.yaml")).call("reload", {})
+    assert str(caught.value) == "/etc/a.yaml: the scene cannot be rendered: no memory"
 
 
 def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:

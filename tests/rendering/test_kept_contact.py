@@ -19,6 +19,7 @@ from hapticd.rendering.compensation import Load, bounded_least_squares
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import preload_notes
 from hapticd.rendering.kept_contact import KeptTap, kept_tap
+from hapticd.rendering.offline import render
 
 LIGHT, DEFAULT, FIRM = (0.005, 2.0, 100.0), (0.01, 5.0, 300.0), (0.02, 10.0, 600.0)
 WALL_N_PER_M = 800.0
@@ -146,6 +147,32 @@ def test_bounded_least_squares_against_scipy() -> None:
         )
         assert ((columns @ found - target) ** 2).sum() <= best.fun * (1 + 1e-6) + 1e-9
     assert bounded_least_squares(np.eye(1), np.zeros(1), np.array([[1.0], [-1.0]]), np.array([-1.0, -1.0])) is None
+
+
+@pytest.mark.parametrize("last", [[0.0, 0.0, 0.0], [2.0, 4.0, 6.0]])
+def test_bounded_least_squares_refuses_dependent_columns(last: list[float]) -> None:
+    columns = np.array([[1.0, 2.0, 3.0], last]).T
+    assert bounded_least_squares(columns, np.ones(3), np.eye(2), np.ones(2)) is None
+
+
+@pytest.mark.parametrize(("rate_hz", "slow_link"), [(1000.0, False), (60.0, True)])
+def test_a_tap_that_ends_before_its_second_sample_has_finite_forces(rate_hz: float, slow_link: bool) -> None:
+    """It was refused by the core: gain (nan, nan)."""
+    link = {"link": {"rate_hz": rate_hz}} if slow_link else {}
+    device = {"kind": "sim", "compensation": "full", "sim": {"handle_mass_kg": 0.1, **link}}
+    click = {"frequency_hz": 20, "decay_time_s": 4e-5, "attack_slope_per_s": 100}
+    config = load_config(
+        {
+            "servo": {"rate_hz": 1000},
+            "device": device,
+            "materials": {"click": {"stiffness_n_per_m": WALL_N_PER_M, "tap": click}},
+            "scene": {"objects": {"wall": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "click"}}},
+        }
+    )
+    depth = np.linspace(-0.001, 0.001, 50)
+    force = render(config, np.column_stack((0 * depth, -depth)))["force_n"]
+    assert np.isfinite(force).all()
+    assert force[-1, 1] > 0.0
 
 
 def test_check_says_from_which_depth_on_the_compensation_is_complete() -> None:

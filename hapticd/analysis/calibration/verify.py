@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Final
 
 import numpy as np
@@ -59,8 +58,6 @@ DEEP_TAP_TIMES: Final = 2.0
 """Time for which a tap on a wall keeps its speed, over the inverse of the angular frequency of handle and wall."""
 LINK_PHASES: Final = 10
 """Number of onsets within a frame of a link that is slower than the servo."""
-MAX_FRAMES_TO_TICK: Final = 1000
-"""Largest number of frames of a link after which a frame begins at a tick again."""
 ONSET_LEAD_PERIODS: Final = 2.0**-20
 """Time from an onset to the next tick, in periods. Above 0, so that the probe is inside the surface at the tick."""
 
@@ -186,7 +183,7 @@ def from_simulation(config: Config, played: Played) -> list[Comparison]:
         count = round((5.0 / strike.mode.decay_rate_per_s + SIMULATION_TAIL_S) * rate_hz)
         found = []
         for wait, acceleration in zip(waits, accelerations, strict=True):
-            onset = arrival(link, wait + begin, played.rate_hz)
+            onset = arrival(link, wait + begin, played.rate_hz, strike.mode)
             found.append(_compared(acceleration[onset : onset + count], strike, rate_hz, played))
         return over_phases(found)
 
@@ -242,21 +239,26 @@ def waiting_ticks(link: Link | None, rate_hz: float) -> list[int]:
     return [round(phase * rate_hz / link.rate_hz / LINK_PHASES) for phase in range(LINK_PHASES)]
 
 
-def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
-    """Return the time at which a waveform that begins at tick `begin` acts, in 1/PARTS_PER_PERIOD of a period.
+def arrival(link: Link | None, begin: int, rate_hz: float, mode: Mode) -> int:
+    """Return the time at which a strike that begins at tick `begin` acts, in 1/PARTS_PER_PERIOD of a period.
 
     Over a link the force waits for the next frame, and for the link's delay. A link that is slower than the servo sends
-    the force of the last tick before a frame, which is one period old, or less if frames do not begin at ticks.
+    the force of the last tick before a frame. The time from tick to frame varies unless one rate is a multiple of the
+    other; then its mean counts, weighted by the energy of the mode.
     """
-    onset = begin * PARTS_PER_PERIOD
     if link is None:
-        return onset
-    frame = rate_hz * PARTS_PER_PERIOD / link.rate_hz
+        return begin * PARTS_PER_PERIOD
+    frame = rate_hz / link.rate_hz
+    events = np.arange(math.ceil(5.0 / mode.decay_rate_per_s * min(rate_hz, link.rate_hz)), dtype=np.float64)
     if link.rate_hz >= rate_hz:
-        return round((math.floor(onset / frame * (1 + 1e-12)) + link.delay_frames) * frame)
-    # The ages of the forces, in periods, are 1/n, 2/n, ... 1, if n frames last a whole number of periods.
-    frames = Fraction(rate_hz / link.rate_hz).limit_denominator(MAX_FRAMES_TO_TICK).denominator
-    return round(onset + (link.delay_frames - 1) * frame + PARTS_PER_PERIOD * (1 + 1 / frames) / 2)
+        ticks = begin + events
+        waits = (np.floor(ticks / frame * (1 + 1e-12)) + 1) * frame - ticks
+    else:
+        frames = (math.floor(begin / frame * (1 + 1e-12)) + 1 + events) * frame
+        waits = frames - (np.ceil(frames * (1 - 1e-12)) - 1)
+    decay_per_event = mode.decay_rate_per_s / min(rate_hz, link.rate_hz)
+    waited = float(np.average(waits, weights=np.exp(-2.0 * decay_per_event * events)))
+    return round((begin + waited + (link.delay_frames - 1) * frame) * PARTS_PER_PERIOD)
 
 
 def over_phases(compared: list[tuple[float, float]]) -> tuple[float, float]:
@@ -376,7 +378,7 @@ def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_
     for wait in waiting_ticks(link, rate_hz):
         waited = np.pad(force, ((wait, 0), (0, 0)))
         moved = acceleration_on(config.device.sim, waited, rate_hz, material.stiffness_n_per_m, axis)
-        moved = moved[arrival(link, wait, rate_hz) :] @ np.array(towards)
+        moved = moved[arrival(link, wait, rate_hz, first.mode) :] @ np.array(towards)
         reference = sum(each.coefficient_m_per_s2 * waveform(each.mode, len(moved), fine_hz) for each in strikes)
         found.append(compared(moved, np.asarray(reference), fine_hz, output))
     error, strength = over_phases(found)
