@@ -231,10 +231,23 @@ class _Device(NamedTuple):
     """Assumptions about the device, for the report."""
 
 
+def _other_handle(config: Config) -> tuple[Problem, ...]:
+    """Return a note if the report is for another handle than that of the simulated joystick."""
+    handle, sim = config.device.handle, config.device.sim
+    if handle is None or handle == sim.handle:
+        return ()
+    problem = (
+        f"{handle.mass_kg:g} kg, {handle.damping_n_s_per_m:g} N s/m and {handle.friction_n:g} N: this report is for "
+        f"this handle, and the simulated joystick moves another one, of {sim.handle_mass_kg:g} kg, "
+        f"{sim.handle_damping_n_s_per_m:g} N s/m and {sim.coulomb_friction_n:g} N (device.sim)"
+    )
+    return (Problem("device.handle", problem),)
+
+
 def _device(config: Config, offline: bool) -> _Device:
     device, rate_hz = config.device, config.servo.rate_hz
     if device.kind == "sim":
-        return _Device("the simulated joystick", loop=loop_of(config, rate_hz))
+        return _Device("the simulated joystick", loop=loop_of(config, rate_hz), notes=_other_handle(config))
     if device.kind == "replay":
         assert device.replay is not None
         try:

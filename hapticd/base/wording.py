@@ -40,8 +40,9 @@ def below(limit: float, value: float, digits: int = DEFAULT_DIGITS) -> str:
 
 
 def count(amount: int, thing: str, things: str | None = None) -> str:
-    """Format a count: 1 period; 12,340 periods; 0 periods. `things` is the plural if an added s does not form it."""
-    return f"{amount:,} {thing if amount == 1 else things or thing + 's'}"
+    """Format a count: 1 period; 12,340 periods; 2 glitches. `things` is the plural if s or es does not form it."""
+    plural = things or thing + ("es" if thing.endswith("ch") else "s")
+    return f"{amount:,} {thing if amount == 1 else plural}"
 
 
 def si(value: float, unit: str, digits: int = DEFAULT_DIGITS) -> str:

@@ -211,6 +211,12 @@ def note(text: str) -> None:
     click.echo(f"hapticd: {text}", err=True)
 
 
+def note_if_forces_are_off(client: Client) -> None:
+    """Print a note if the daemon exerts no force on the hand of the simulated joystick, which moves."""
+    if client.get_status()["forces"] != "on":
+        note("forces are off: no force acts on the moving hand; `hapticd status` gives the reason")
+
+
 def print_result(result: object, as_json: bool, text: str) -> None:
     """Print a command's result as JSON with its warnings; without --json print `text`, and the warnings to stderr."""
     if as_json:

@@ -20,6 +20,7 @@ from hapticd.cli.common import (
     json_option,
     log_options,
     note,
+    note_if_forces_are_off,
     options,
     print_json,
     print_pairs,
@@ -352,8 +353,7 @@ def operator_command(file: str, wait: bool, as_json: bool) -> int:
     source = file_of(file, "operators")
     with daemon() as client:
         result = client.set_operator(source)
-        if client.get_status()["forces"] != "on":
-            note("forces are off: no force acts on the moving hand; `hapticd status` gives the reason")
+        note_if_forces_are_off(client)
         end = client.wait_gesture() if wait else None
     takes = f"takes {wording.duration(result['duration_s'])}"
     if end is None:

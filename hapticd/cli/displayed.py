@@ -99,7 +99,7 @@ def _print(report: Report, measurable: bool) -> None:
     if again is not None:
         click.echo(again)
     if stability.sets:
-        numbers = [">N/m", ">safe in any hand up to", ">stable in this hand up to", ">margin"]
+        numbers = [">N/m", ">safe in any hand below", ">stable in this hand below", ">margin"]
         columns = ["objects", *numbers, "verdict", "by"]
         print_table(columns, map(_set_row, stability.worst), "What can be touched together", wrapped="objects")
         if stability.sets > len(stability.worst):

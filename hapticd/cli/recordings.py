@@ -19,6 +19,7 @@ from hapticd.cli.common import (
     for_option,
     json_option,
     note,
+    note_if_forces_are_off,
     notes_option,
     output_option,
     overwrite_option,
@@ -109,13 +110,15 @@ def record_command(
                 return
             if end_s is None:
                 end_s = recorded_s + client.set_operator(motion)["duration_s"]
+                note_if_forces_are_off(client)
             elif recorded_s >= end_s:
                 with suppress(TimedOut):
                     completed = client.wait_gesture(0.0)["completed"]
                     stop.set()
 
         recording = record(client, file, duration_s, overwrite=overwrite, notes=notes, stop=stop, progress=progress)
-    print_result(asdict(recording), as_json, recording.summary())
+    exported = "" if file.lower().endswith(".npz") else f"; exported to {file}"
+    print_result(asdict(recording), as_json, f"{recording.summary()}{exported}")
     if not completed:
         note("another motion replaced that of --operator")
         return 1

@@ -129,6 +129,15 @@ class Sim(Model):
     link: Link | None = Field(default=None, description="Link of positions and forces; null: none, without delay.")
 
     @property
+    def handle(self) -> Handle:
+        """Mass, damping and dry friction of the simulated handle."""
+        return Handle(
+            mass_kg=self.handle_mass_kg,
+            damping_n_s_per_m=self.handle_damping_n_s_per_m,
+            friction_n=self.coulomb_friction_n,
+        )
+
+    @property
     def reports_s(self) -> tuple[float, float]:
         """Time in s between position reports, 0 for one at every tick, and the age in s of a report when it is read."""
         if self.link is None:
@@ -160,11 +169,7 @@ class Sim(Model):
 def _dynamics(kind: object, sim: Sim, handle: Handle | None, grip: Grip | None) -> Dynamics | None:
     hand = sim.hand
     if kind == "sim":
-        handle = handle or Handle(
-            mass_kg=sim.handle_mass_kg,
-            damping_n_s_per_m=sim.handle_damping_n_s_per_m,
-            friction_n=sim.coulomb_friction_n,
-        )
+        handle = handle or sim.handle
         grip = grip or Grip(
             mass_kg=hand.mass_kg, damping_n_s_per_m=hand.damping_n_s_per_m, stiffness_n_per_m=hand.stiffness_n_per_m
         )

@@ -202,7 +202,7 @@ def kept_tap(
     """Return the forces of a tap that stays in contact, or None if the least error lifts no further than a plain tap.
 
     `pushes` has, for each mode of the tap, the largest coefficient along the normal over the approach speed, in 1/s,
-    with its sign. Takes some milliseconds.
+    with its sign. Takes some tens of milliseconds.
     """
     least = [shapes_of(mode, dynamics, rate_hz, "full", load, best_in_contact)[1] for mode, _ in pushes]
     contact = _Contact(dynamics, load, 1 / rate_hz)

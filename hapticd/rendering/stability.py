@@ -24,7 +24,6 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base import wording
 from hapticd.config.dynamics import Dynamics, held_motion
 
 Floats: TypeAlias = npt.NDArray[np.float64]
@@ -292,10 +291,7 @@ class Margin:
         if self.damping_n_s_per_m > 0.0:
             text += f" and {self.damping_n_s_per_m:.3g} N s/m"
         limit = self.limit_n_per_m
-        advice = ""
-        if limit > 0.0:
-            shown = f"{limit:.4g}" if self.safe else wording.below(limit, self.stiffness_n_per_m)
-            advice = f"up to {shown} N/m would be safe in any hand"
+        advice = f"below {limit:.4g} N/m it would be safe in any hand" if limit > 0.0 else ""
         if self.remedy:
             advice = f"safe in any hand with {self.remedy}"
         if not self.safe and not advice:

@@ -171,3 +171,12 @@ def test_a_recording_that_cannot_be_read_is_reported_once(tmp_path: Path) -> Non
     assert [str(each) for each in report.refused] == [f"device.replay.path: {path}: No such file or directory"]
     assert report.device == "a recording, which cannot be read"
     assert report.stability.unknown == "a recording does not react to forces"
+
+
+def test_a_report_on_another_handle_than_the_simulated_one_says_so() -> None:
+    handle = {"mass_kg": 0.1}
+    (note,) = check(load_config({"device": {"handle": handle}})).notes
+    assert note.where == "device.handle"
+    assert note.problem.endswith("moves another one, of 0.04 kg, 0.2 N s/m and 0.05 N (device.sim)")
+    same = {"handle_mass_kg": 0.1, "handle_damping_n_s_per_m": 0, "coulomb_friction_n": 0}
+    assert check(load_config({"device": {"handle": handle, "sim": same}})).notes == ()

@@ -23,6 +23,7 @@ from hapticd.base import wording
         (wording.number(2.0), "2"),
         (wording.number(0.0), "0"),
         (wording.number(1.25e-7), "1.25e-07"),
+        (wording.count(2, "glitch"), "2 glitches"),
         (wording.below(80.0, 800.0), "80"),
         (wording.below(40.0, 40.0), "39.99"),
         (wording.below(39.9999, 40.0), "39.99"),

@@ -264,6 +264,8 @@ def test_a_motion_is_waited_for_and_recorded(shell: Shell) -> None:
     assert len(recording.samples) / recording.rate_hz >= ended["duration_s"]
     moved = [event for event in recording.events if event["event"] == "gesture_end"]
     assert [event["completed"] for event in moved] == [True]
+    pytest.importorskip("mcap")
+    assert shell("record", "short.mcap", "--for", "0.1s").endswith("; exported to short.mcap\n")
     # A motion that cannot begin leaves no file.
     Path("tap.yaml").write_text("gesture: {kind: tap, object: nobody, speed_m_per_s: 0.1}\n")
     assert '"nobody"' in shell.fails("record", "none.npz", "--operator", "tap.yaml")
@@ -335,6 +337,7 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     assert shell.fails("play", "wood", "--amplitude", "2") == off
     noted = shell.noted("operator", "operator.yaml")
     assert noted == "hapticd: forces are off: no force acts on the moving hand; `hapticd status` gives the reason\n"
+    assert shell.noted("record", "off.npz", "--operator", "operator.yaml") == noted
     assert json.loads(shell("force", "on", "--json"))["forces"] == "on"
     assert shell.noted("operator", "operator.yaml") == ""
     assert shell("reset", "skin").startswith("reset at tick ")

@@ -584,7 +584,7 @@ def test_the_steps_of_a_devices_forces_are_those_of_its_numbers() -> None:
 def test_a_run_warns_of_it() -> None:
     run = simulate_run(LINKED, [[0, 0, 0.01], [0.01, 0, 0.009]])
     assert [warning.where for warning in run.warnings] == ["scene.objects.floor"]
-    assert "up to 80 N/m would be safe" in run.warnings[0].problem
+    assert "below 80 N/m it would be safe" in run.warnings[0].problem
 
 
 def written(tmp_path: Path, source: dict[str, Any]) -> str:
@@ -605,7 +605,7 @@ def test_check_reports_silent_modes_and_unsafe_sets(tmp_path: Path, capsys: pyte
     assert main(["check", "-c", written(tmp_path, source)]) == 1
     printed = capsys.readouterr()
     assert "tap of steel, 1682 Hz: silent" in printed.out
-    assert "up to 80 N/m would be safe" in printed.out
+    assert "below 80 N/m it would be safe" in printed.out
     assert printed.err == "hapticd: 2 things of the scene cannot be displayed as written, or may oscillate\n"
     assert main(["check", "--json", "-c", written(tmp_path, source)]) == 1
     told = json.loads(capsys.readouterr().out)
