@@ -120,15 +120,17 @@ def waveform_error(
     The RMS difference of the handle's acceleration from the waveform is divided by the RMS of the waveform, both in the
     error band. The force is neither compensated nor delayed by the actuator.
     """
-    ticks = math.ceil((waveform.length_s + _SETTLING_TIME_S) * rate_hz)
+    ticks = 1 + math.ceil((waveform.length_s + _SETTLING_TIME_S) * rate_hz)
     middles = (np.arange(ticks * PARTS_PER_PERIOD) + 0.5) / (rate_hz * PARTS_PER_PERIOD)
     errors = []
     for onset in load.onsets:
-        force = effective_mass_kg * waveform.curve.at((np.arange(ticks) + onset) / rate_hz)
+        # The times begin up to a period before the onset, so that the waveform before its first sample counts, too.
+        begin_s = (1.0 - onset) / rate_hz
+        force = effective_mass_kg * waveform.curve.at(np.arange(ticks) / rate_hz - begin_s)
         errors.append(
             band_error(
                 handle_acceleration(force, dynamics, rate_hz),
-                waveform.curve.at(middles + onset / rate_hz),
+                waveform.curve.at(middles - begin_s),
                 rate_hz * PARTS_PER_PERIOD,
                 ERROR_BAND_LOW_HZ,
                 ERROR_BAND_RATE_FRACTION * rate_hz,

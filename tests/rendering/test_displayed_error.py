@@ -19,11 +19,18 @@ from hapticd.config.configuration import Compensation, load_config
 from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
+from hapticd.config.waveform import Waveform
 from hapticd.daemon.engine import Engine
 from hapticd.rendering.compensation import MAX_STRIKE_FORCE_RATIO, Load, Ringing, pole_gain, shape_of
 from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.device_output import Output, output_of
-from hapticd.rendering.displayed_error import band_error, displayed_error, handle_acceleration, waveform
+from hapticd.rendering.displayed_error import (
+    band_error,
+    displayed_error,
+    handle_acceleration,
+    waveform,
+    waveform_error,
+)
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import simulate_run
 from tests.support.marks import rest_slow
@@ -370,6 +377,17 @@ def test_off_is_one_pole_and_the_effective_mass() -> None:
     record = mode_record(material.tap.mode, 1.0, 1.0, output_of(config, RATE))
     assert record[8] == 0.08
     assert record[9:18] == (1.0, 0.0, *(0.0,) * 7)
+
+
+@pytest.mark.parametrize("rate_hz", [500.0, 1000.0, 2000.0])
+@pytest.mark.parametrize("material", ["wood", "acrylic", "delrin"])
+def test_a_waveform_of_a_mode_has_the_error_of_the_mode_behind_a_slow_link(material: str, rate_hz: float) -> None:
+    """The part of the waveform before the first frame was left out: 37 % instead of 43 % for delrin at 500 Hz."""
+    mode, device, load = library()[material], held("default"), Load(slow_link=True)
+    samples = waveform(mode, 400, 4000.0, since_s=-0.5 / 4000.0)
+    shape = Waveform(rate_hz=4000.0, samples=(0.0, *samples[1:-1], 0.0))
+    found = waveform_error(shape, device, rate_hz, device.mass_kg, load)
+    assert found == pytest.approx(displayed_error(mode, device, rate_hz, "off", load=load), rel=0.02)
 
 
 @pytest.mark.parametrize("compensation", ["mass", "full"])
