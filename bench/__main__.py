@@ -163,8 +163,9 @@ def _write(found: Found, folder: Path, on: str, complete: bool) -> list[Path]:
         DEVICES: ("Devices", on),
     }
     written = []
+    in_docs = folder.resolve() == DOCS
     for page, sections in found.pages.items():
-        if page == DEVICES and folder.resolve() == DOCS:
+        if page == DEVICES and in_docs:
             # The rest of this page is written by hand.
             if not found.failed:
                 link.write_into(DOCS / DEVICES, sections[0])
@@ -175,9 +176,10 @@ def _write(found: Found, folder: Path, on: str, complete: bool) -> list[Path]:
             text = replaced((folder / page).read_text(encoding="utf-8"), sections)
         else:
             text = "\n\n".join([f"# {title}", filled(about), *(section.markdown() for section in sections)]) + "\n"
-        if page == ACCURACY and (complete or folder == DOCS) and not found.failed:
-            text = with_summary(text)
         (folder / page).write_text(text, encoding="utf-8")
+        if page == ACCURACY and (complete or in_docs) and not found.failed:
+            # Only now, so that the measurements are not lost if the tables lack a cell of the summary.
+            (folder / page).write_text(with_summary(text), encoding="utf-8")
         written.append(folder / page)
     return written
 
