@@ -197,9 +197,9 @@ def perform(names: Sequence[str], options: Options, out: Path | None, overwrite:
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(on, markup=False, highlight=False)
     complete = chosen == list(MEASUREMENTS) and not options.quick
-    if overwrite and out is None and options.quick:
-        raise HapticdError("--quick measures too little for docs: give another folder with --out, or no --overwrite")
     folder = out or (DOCS if complete or overwrite else None)
+    if options.quick and folder is not None and folder.resolve() == DOCS:
+        raise HapticdError("--quick measures too little for docs: give another folder with --out, or no --overwrite")
     if folder is not None:
         files = {MEASUREMENTS[name].page for name in chosen} | ({stability.PLOT} if "stability" in chosen else set())
         if folder.resolve() == DOCS:

@@ -42,8 +42,11 @@ def test_an_installed_hapticd_reports_that_benchmarks_need_a_source_tree(
     assert "hapticd bench: not in a source tree; the benchmarks need one" in said
 
 
-def test_quick_figures_do_not_replace_those_of_docs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["bench", "tick", "--quick", "--overwrite"]) == 1
+@pytest.mark.parametrize(
+    "where", [["--overwrite"], ["--out", str(bench.DOCS)], ["--out", str(bench.DOCS / ".." / "docs")]]
+)
+def test_quick_figures_do_not_replace_those_of_docs(where: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "link", "--quick", *where]) == 1
     message = "hapticd: --quick measures too little for docs: give another folder with --out, or no --overwrite\n"
     assert capsys.readouterr().err == message
 
@@ -78,7 +81,7 @@ def test_the_section_of_links_goes_into_the_page_of_docs_by_any_name_of_the_fold
     page = tmp_path / "docs" / bench.DEVICES
     page.parent.mkdir()
     page.write_text(f"# By hand\n{BEGIN}old\n{END}More\n")
-    assert cli.main(["bench", "link", "--quick", "--out", "docs"]) == 0
+    assert cli.main(["bench", "link", "--out", "docs"]) == 0
     text = page.read_text()
     assert text.startswith(f"# By hand\n{BEGIN}\nnew\n") and text.endswith(f"{END}More\n")
 
