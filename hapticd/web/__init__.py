@@ -24,7 +24,7 @@ One thread with one event loop, in the order from the process to the daemon:
     page_calls      the methods of the daemon that a page may call
     page_lease      lets a page turn forces on only while it holds a lease
     daemon_relay    the connection of one page to the daemon
-    page_methods    methods of this process that every page needs
+    page_methods    methods of this process for every page: state, subscriptions, shipped materials
 
 Further methods that a page may call:
 

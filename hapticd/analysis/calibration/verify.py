@@ -233,7 +233,7 @@ def from_recording(played: Played, recording: Recording) -> list[Comparison]:
 
 
 def waiting_ticks(link: Link | None, rate_hz: float) -> list[int]:
-    """Return the ticks before the first force, one for each onset within a frame of the link that is compared."""
+    """Return the delays of the forces, in ticks, for which a strike is compared: LINK_PHASES in a slow link's frame."""
     if link is None or link.rate_hz >= rate_hz:
         return [0]
     return [round(phase * rate_hz / link.rate_hz / LINK_PHASES) for phase in range(LINK_PHASES)]
