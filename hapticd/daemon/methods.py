@@ -539,7 +539,8 @@ class Methods:
         before = self._engine.counters()
         tick = self._engine.set_forces(params.enabled)
         after = self._engine.counters()
-        if (after.forces_on and not after.latched) != (before.forces_on and not before.latched):
+        were_on, are_on = (each.forces_on and not each.latched for each in (before, after))
+        if were_on != are_on == params.enabled:
             line = f"forces turned {'on' if params.enabled else 'off'} by a command (set_forces)"
             self.repeats.line("forces", logging.INFO, line, MIN_REPEAT_INTERVAL_S)
         faults = after.faults
