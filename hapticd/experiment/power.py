@@ -16,6 +16,8 @@ import numpy.typing as npt
 from hapticd.analysis.statistics import require_scipy
 from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
 
+_SIMULATION_SEED: Final = 1
+"""Random seed of the simulation, fixed for a reproducible power."""
 SIMULATED_EXPERIMENTS: Final = 4000
 """Number of simulated experiments: the standard error of the power is then at most 0.8 %."""
 
@@ -41,7 +43,7 @@ def power_of_proportion(effect: ProportionEffect, chance: float, trials: int) ->
     The probability of a correct answer is normally distributed over participants, with mean `effect.correct` and
     standard deviation `effect.between`, clipped to 0..1.
     """
-    generator = np.random.default_rng(1)  # fixed, for a reproducible power
+    generator = np.random.default_rng(_SIMULATION_SEED)
     size = (SIMULATED_EXPERIMENTS, effect.participants)
     own = np.clip(generator.normal(effect.correct, effect.between, size), 0.0, 1.0)
     right = generator.binomial(trials, own).sum(axis=1)
@@ -75,7 +77,7 @@ def power_of_difference(effect: DifferenceEffect, pairs: int) -> Power:
     require_scipy("the power of a difference", "experiment")
     from scipy.special import stdtrit
 
-    generator = np.random.default_rng(1)  # fixed, for a reproducible power
+    generator = np.random.default_rng(_SIMULATION_SEED)
     size = (SIMULATED_EXPERIMENTS, effect.participants)
     deviation = math.hypot(effect.between, effect.standard_deviation / math.sqrt(pairs))
     means = generator.normal(effect.mean, deviation, size)

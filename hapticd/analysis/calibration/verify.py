@@ -3,7 +3,8 @@
 The commanded forces drive the simulated handle again, at PARTS_PER_PERIOD times the rate. Differences of its exact
 velocities are means of its acceleration; the library's waveform is averaged over the same times. A link delays the
 force without changing its shape, so the waveform is delayed, too. A link that is slower than the servo samples a strike
-at any time within a frame: the forces are sent at LINK_PHASES times within a frame, and the error is the RMS over them.
+at any time within a frame: the forces are sent at up to MAX_LINK_PHASES times within a frame, and the error is the RMS
+over them.
 
 In an accelerometer's recording, cross-correlation finds the sequence of strikes. Each onset is then the time within
 3 ms of the expected one at which the error is smallest.
@@ -56,8 +57,8 @@ SIMULATION_TAIL_S: Final = 0.25
 the pause between two strikes."""
 DEEP_TAP_TIMES: Final = 2.0
 """Time for which a tap on a wall keeps its speed, over the inverse of the angular frequency of handle and wall."""
-LINK_PHASES: Final = 10
-"""Number of onsets within a frame of a link that is slower than the servo."""
+MAX_LINK_PHASES: Final = 10
+"""Number of onsets within a frame of a link that is slower than the servo; one a tick in a shorter frame."""
 ONSET_LEAD_PERIODS: Final = 2.0**-20
 """Time from an onset to the next tick, in periods. Above 0, so that the probe is inside the surface at the tick."""
 
@@ -233,10 +234,11 @@ def from_recording(played: Played, recording: Recording) -> list[Comparison]:
 
 
 def waiting_ticks(link: Link | None, rate_hz: float) -> list[int]:
-    """Return the delays of the forces, in ticks, for which a strike is compared: LINK_PHASES in a slow link's frame."""
+    """Return the delays of the forces, in ticks, for which a strike is compared: up to MAX_LINK_PHASES in a frame."""
     if link is None or link.rate_hz >= rate_hz:
         return [0]
-    return [round(phase * rate_hz / link.rate_hz / LINK_PHASES) for phase in range(LINK_PHASES)]
+    frame_ticks = rate_hz / link.rate_hz
+    return sorted({math.floor(phase * frame_ticks / MAX_LINK_PHASES) for phase in range(MAX_LINK_PHASES)})
 
 
 def arrival(link: Link | None, begin: int, rate_hz: float, mode: Mode) -> int:
