@@ -41,7 +41,7 @@ from hapticd.rendering.displayed_error import waveform_error
 from hapticd.rendering.driven_hand import driven_hand_warnings
 from hapticd.rendering.filter_design import peak_of
 from hapticd.rendering.lagging_modes import lag_warnings
-from hapticd.rendering.placement import Reach, placement_warnings
+from hapticd.rendering.placement import NO_FORCE, Reach, placement_warnings
 from hapticd.rendering.resampling import resampled
 from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
@@ -174,7 +174,7 @@ def check(config: Config, *, offline: bool = True) -> Report:
 def _hidden_parts(scene: Scene) -> Iterator[Problem]:
     """Yield a note for each kind of force that the scene does not display."""
     if not scene.display.force:
-        yield Problem("scene.display.force", "false: contacts and fields exert no force")
+        yield NO_FORCE
     if not scene.display.vibration:
         yield Problem("scene.display.vibration", "false: taps and textures do not vibrate")
 

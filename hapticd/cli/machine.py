@@ -177,7 +177,9 @@ def schema_command(protocol: str | None) -> None:
 
 @click.command("install-service", short_help="Install the service of systemd.")
 @click.option("--user", is_flag=True, help="Install for the current user only, without root.")
-@click.option("--dry-run", is_flag=True, help="Print the commands without running them.")
+@click.option(
+    "--dry-run", is_flag=True, help="Print the commands without running them; their files are adapted copies."
+)
 @click.option("--uninstall", is_flag=True, help="Remove the service; keep users and configuration.")
 @click.option(
     "--root",

@@ -72,7 +72,7 @@ from hapticd.rendering.displayability import (
     warnings,
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
-from hapticd.rendering.placement import Reach, placement_warnings
+from hapticd.rendering.placement import NO_FORCE, Reach, placement_warnings
 from hapticd.rendering.surface_margins import SurfaceMargins
 from hapticd.rendering.undisplayable_text import Undisplayable
 from hapticd.system.idle_states import IdleStateLock
@@ -422,6 +422,7 @@ class Engine:
         others = [one for each in reports.values() for one in each.warnings]
         others += warnings(objects, {}, self.output)
         others += islice(placement_warnings(scene, materials, self.reach), MAX_FAULTS)
+        others += () if scene.display.force else (NO_FORCE,)
         return [one for one in undisplayable if (one.material, one.mode) not in played], others
 
     def report_of(self, name: str, material: Material) -> MaterialReport:

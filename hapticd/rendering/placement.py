@@ -23,6 +23,9 @@ from hapticd.rendering.plausibility import field_problem
 
 Point: TypeAlias = tuple[float, float]
 
+NO_FORCE: Final = Problem("scene.display.force", "false: contacts and fields exert no force")
+"""Note about a scene that holds the handle nowhere, because it displays no force."""
+
 MAX_MOTION_FRACTION: Final = 0.25
 """A kept object that comes nearer by no more than this part of the half travel has moved; farther, it was put there."""
 SPRING_FORCE_RATIO: Final = 2.0

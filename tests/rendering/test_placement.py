@@ -151,6 +151,12 @@ def test_check_simulate_and_the_status_report_the_slip() -> None:
     assert [each.filename for each in caught] == [__file__]
 
 
+def test_the_status_says_that_a_scene_displays_no_force() -> None:
+    (warning,) = Engine(load_config({"scene": {"display": {"force": False}}})).limits()[1]
+    assert str(warning) == "scene.display.force: false: contacts and fields exert no force"
+    assert Engine(load_config({"scene": {}})).limits()[1] == []
+
+
 def test_a_path_in_millimetres_is_reported() -> None:
     scene = {"scene": {"objects": {"it": {**WALL, "point_m": [0, 0]}}}}
     with pytest.warns(hapticd.ImplausibleValue, match="position_m: has positions of up to 8 m.*divide them by 1000"):
