@@ -21,10 +21,10 @@ from hapticd.hid.discovery import choose, find
 from hapticd.hid.link import Link, link_of
 from hapticd.hid.plan import UndrivableError
 from hapticd.hid.sources import read_replay
-from hapticd.rendering.compensation import Load
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.displayability import (
+    NO_SURFACE,
     displayed_mode,
     displayed_pair,
     displayed_wave_rate,
@@ -236,12 +236,12 @@ def _other_handle(config: Config) -> tuple[Problem, ...]:
     handle, sim = config.device.handle, config.device.sim
     if handle is None or handle == sim.handle:
         return ()
-    problem = (
-        f"{handle.mass_kg:g} kg, {handle.damping_n_s_per_m:g} N s/m and {handle.friction_n:g} N: this report is for "
-        f"this handle, and the simulated joystick moves another one, of {sim.handle_mass_kg:g} kg, "
-        f"{sim.handle_damping_n_s_per_m:g} N s/m and {sim.coulomb_friction_n:g} N (device.sim)"
+    given, moved = (
+        f"{each.mass_kg:g} kg, {each.damping_n_s_per_m:g} N s/m and {each.friction_n:g} N"
+        for each in (handle, sim.handle)
     )
-    return (Problem("device.handle", problem),)
+    problem = f"{given}: this report is for this handle, and the simulated joystick moves another one, of {moved}"
+    return (Problem("device.handle", f"{problem} (device.sim)"),)
 
 
 def _device(config: Config, offline: bool) -> _Device:
@@ -325,6 +325,6 @@ def _waveform_vibration(waveform: Waveform, output: Output) -> Vibration:
         return Vibration("tap", middle_hz, None, None)
     error = None
     if rate_hz == waveform.rate_hz and output.dynamics is not None and output.actuator is None:
-        load = Load(slow_link=output.slow_link)
+        load = NO_SURFACE.load(output).free
         error = waveform_error(waveform, output.dynamics, output.carried_hz, output.effective_mass_kg, load)
     return Vibration("tap", middle_hz, middle_hz * rate_hz / waveform.rate_hz, error)

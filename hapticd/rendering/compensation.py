@@ -315,7 +315,7 @@ class _Band:
             gains, peak = factor * gains, MAX_STRIKE_FORCE_RATIO
         mode, tail, second_tail = (*ringing, None, None)[:3]
         assert mode is not None
-        error = self.error_over(self._load.onsets, poles, gains)
+        error = self.error_over(self._load.onsets, ringing)
         return Shape(mode, tail, peak, peak_time_s, error, limited, second_tail=second_tail)
 
     def alone(self, gain: complex) -> Shape:
@@ -390,8 +390,10 @@ class _Band:
         kicks = [(c + d * onset) * self._base[:, self._kicks + k] for k, (c, d) in enumerate(shape.kicks)]
         return np.asarray(np.sum(kicks, axis=0), np.float64)
 
-    def error_over(self, onsets: tuple[float, ...], poles: Sequence[complex], gains: _Floats) -> float:
-        """Return the displayed error of a force without kicks, RMS over these onsets."""
+    def error_over(self, onsets: tuple[float, ...], parts: Sequence[Ringing]) -> float:
+        """Return the displayed error of a force that has these parts and no kicks, RMS over the onsets."""
+        poles = [part.pole for part in parts]
+        gains = np.array([x for part in parts for x in (part.gain.real, part.gain.imag)])
         return root_mean_square([self.error(self.columns(poles, onset), gains, onset) for onset in onsets])
 
 
@@ -531,9 +533,7 @@ def shape_of(
     if not kickable:
         return best
     kicked, kicked_error = band.with_kicks(tails[0])
-    poles = [part.pole for part in best.parts]
-    gains = np.array([x for part in best.parts for x in (part.gain.real, part.gain.imag)])
-    if kicked.limited or kicked_error >= band.error_over(_ONSET_FRACTIONS, poles, gains) - MIN_KICK_ERROR_REDUCTION:
+    if kicked.limited or kicked_error >= band.error_over(_ONSET_FRACTIONS, best.parts) - MIN_KICK_ERROR_REDUCTION:
         return best
     return kicked
 

@@ -72,7 +72,7 @@ def strike_error(mode: Mode, output: Output) -> float | None:
         output.carried_hz,
         output.compensation,
         output.effective_mass_kg,
-        Load(actuator=output.actuator, slow_link=output.slow_link),
+        NO_SURFACE.load(output).free,
     )
 
 

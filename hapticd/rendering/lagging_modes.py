@@ -18,7 +18,7 @@ from hapticd.config.actuator import MAX_BANDWIDTH_HZ
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
-from hapticd.rendering.compensation import Load, part_shown, pole_shape
+from hapticd.rendering.compensation import part_shown, pole_shape
 from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import Touched, displayed_mode, mode_path, modes_of, struck_shapes, touched_by
 
@@ -47,12 +47,11 @@ def shown_part(mode: Mode, output: Output, touched: Touched) -> complex:
 @lru_cache(maxsize=256)
 def _contained(mode: Mode, output: Output, touched: Touched) -> complex:
     shapes = struck_shapes(mode, output, touched)
-    dynamics, rate_hz = output.dynamics or _UNKNOWN_HANDLE, output.carried_hz
+    dynamics, rate_hz, load = output.dynamics or _UNKNOWN_HANDLE, output.carried_hz, touched.load(output)
     if shapes is None:
-        load = Load(actuator=output.actuator)
-        return part_shown(mode, dynamics, rate_hz, pole_shape(mode, dynamics, rate_hz, 1 + 0j, load), load)
-    surface = (touched.stiffness_n_per_m, touched.damping_n_s_per_m) if touched.best_in_contact else (0.0, 0.0)
-    load = Load(*surface, output.age_s, output.actuator)
+        free = load.free
+        return part_shown(mode, dynamics, rate_hz, pole_shape(mode, dynamics, rate_hz, 1 + 0j, free), free)
+    load = load if touched.best_in_contact else load.free
     return part_shown(mode, dynamics, rate_hz, shapes[touched.best_in_contact], load)
 
 
