@@ -305,6 +305,7 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
     if kind == "union_tag_invalid":
         text, value = f"should be one of {context['expected_tags']}", context["tag"]
     key = next((part for part in reversed(path) if isinstance(part, str)), "")
+    # A waypoint is [t_s, x_m, y_m].
     is_length = (key.endswith("_m") and not key.endswith("_per_m")) or (key == "waypoints" and path[-1] != 0)
     if (
         kind in ("less_than_equal", "greater_than_equal")

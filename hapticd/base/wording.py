@@ -31,12 +31,12 @@ def number(value: float, digits: int = DEFAULT_DIGITS) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def below(limit: float, value: float, digits: int = DEFAULT_DIGITS) -> str:
+def below(limit: float, value: float) -> str:
     """Format a limit > 0, at most `value`, so that it reads as lower than `value`: 40 and 40.001 -> 39.99."""
-    text = f"{limit:.{digits}g}"
-    if text != f"{value:.{digits}g}":
+    text = f"{limit:.{DEFAULT_DIGITS}g}"
+    if text != f"{value:.{DEFAULT_DIGITS}g}":
         return text
-    return f"{limit - 10.0 ** (math.floor(math.log10(limit)) + 1 - digits):.{digits}g}"
+    return f"{limit - 10.0 ** (math.floor(math.log10(limit)) + 1 - DEFAULT_DIGITS):.{DEFAULT_DIGITS}g}"
 
 
 def count(amount: int, thing: str, things: str | None = None) -> str:

@@ -135,7 +135,7 @@ _MOVE_OR_FORCE: Final = (
 _Handler = Callable[["Methods", Any], Result | Steps[_Changed]]
 
 
-def _to_place(new: _Proposed) -> tuple[Mapping[str, SceneObject], Path]:
+def _objects_to_check(new: _Proposed) -> tuple[Mapping[str, SceneObject], Path]:
     """Return the objects of a change, or those of its changed materials, and their place in the request or scene."""
     if new.objects or not new.sent:
         return new.objects, new.root
@@ -311,7 +311,7 @@ class Methods:
             if problems:
                 raise InvalidError(problems)
             reports = yield from engine.prepared(new.objects.values(), new.materials, new.sent)
-        handle_m, (objects, root) = self._handle_m(), _to_place(new)
+        handle_m, (objects, root) = self._handle_m(), _objects_to_check(new)
         held = holding(new.scene, objects, new.materials, engine.reach, handle_m)
         if held and new.objects and not (isinstance(params, SceneChangeParams) and params.force):
             self._refuse_to_hold(new, held, handle_m)
@@ -457,7 +457,7 @@ class Methods:
             where = f"{files}: " if files else ""  # a fault of a file itself names the file
             self._log_reload(logging.ERROR, f"not reloaded: {where}{error}")
             if isinstance(error, MethodError):
-                raise error.below(where) from None
+                raise error.prefixed(where) from None
             problems = error.problems if isinstance(error, InvalidError) else (Problem("", str(error)),)
             raise InvalidError(
                 [Problem(f"{where}{each.where}" if each.where else files, each.problem) for each in problems]
@@ -540,7 +540,7 @@ class Methods:
         tick = self._engine.set_forces(params.enabled)
         after = self._engine.counters()
         were_on, are_on = (each.forces_on and not each.latched for each in (before, after))
-        if were_on != are_on == params.enabled:
+        if are_on == params.enabled and are_on != were_on:
             line = f"forces turned {'on' if params.enabled else 'off'} by a command (set_forces)"
             self.repeats.line("forces", logging.INFO, line, MIN_REPEAT_INTERVAL_S)
         faults = after.faults

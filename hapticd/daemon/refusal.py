@@ -28,8 +28,8 @@ class MethodError(Exception):
             data.append({"where": "", "problem": f"and {count - len(problems)} more"})
         return cls(code, f"{problems[0]}{more}", data)
 
-    def below(self, where: str) -> Self:
-        """Return the error with `where` in front of the places of its problems."""
+    def prefixed(self, where: str) -> Self:
+        """Return the error with `where` in front of its message and of the places of its problems."""
         data = self.data
         if isinstance(data, list):
             data = [each | {"where": f"{where}{each['where']}"} if each["where"] else each for each in data]

@@ -16,10 +16,10 @@ import numpy.typing as npt
 from hapticd.analysis.statistics import require_scipy
 from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
 
-_SIMULATION_SEED: Final = 1
-"""Random seed of the simulation, fixed for a reproducible power."""
 SIMULATED_EXPERIMENTS: Final = 4000
 """Number of simulated experiments: the standard error of the power is then at most 0.8 %."""
+_SIMULATION_SEED: Final = 1
+"""Random seed of the simulation, fixed for a reproducible power."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1145,15 +1145,15 @@ def fit_tap(
     if second is None:
         second = second_mode(taps, explained, chosen.kind)
     _check_recordings(warnings, recordings, taps, frequency, excluded)
-    two = second is not None and second.kept and not one_mode
-    _check_mode(warnings, taps, second, explained, two)
+    has_second = second is not None and second.kept and not one_mode
+    _check_mode(warnings, taps, second, explained, has_second)
     modes = _modes_over_speed(warnings, figures, frequency, decay_time, mode_table)
     if outlier:
         warnings.add(False, outlier, "is its speed right?")
     else:
         speed_law.check_law(warnings, chosen)
-    explains = "two modes explain" if two else "one mode explains"
-    by_material = second.alone if second is not None and second.kept and one_mode else explained
+    explains = "two modes explain" if has_second else "one mode explains"
+    explained_by_modes = second.alone if second is not None and second.kept and one_mode else explained
     return TapFit(
         taps=tuple(taps),
         slope_per_s=slope,
@@ -1171,7 +1171,7 @@ def fit_tap(
         second=second,
         warnings=tuple(warnings.lines),
         judged=warnings.verdict(
-            f"{explains} {100 * by_material:.1f} % of {len(taps)} taps",
+            f"{explains} {100 * explained_by_modes:.1f} % of {len(taps)} taps",
             f"A(v) is {chosen.named} (r^2 {chosen.r_squared:.3f})",
         ),
         left_out=tuple(excluded.items),
@@ -1250,11 +1250,11 @@ def _check_recordings(
 
 
 def _check_mode(
-    warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, two: bool
+    warnings: Warnings, taps: Sequence[TapHit], second: SecondMode | None, explained: float, has_second: bool
 ) -> None:
     """Downgrade the verdict if the modes of the material do not explain the taps.
 
-    One mode explains the fraction `explained`. `two`: whether the material has the second mode.
+    One mode explains the fraction `explained`. `has_second`: whether the material has the second mode.
     """
     noisy = float(np.median([tap.residual_to_noise for tap in taps]))
     if second is not None:
@@ -1264,9 +1264,9 @@ def _check_mode(
             f"{1e3 * second.decay_time_s.value:.3g} ms and {second.ratio.value:.2g} times as strong explains "
             f"{together:.1f} % together with the first, which alone explains {100 * second.alone:.1f} %"
         )
-        poor = second.variance_accounted_for < TAP_LIMITS.well_explained or (second.kept and not two)
-        if poor or not two:
-            warnings.add(poor, "the residuals are not noise" if two else f"two explain {together:.1f} %")
+        poor = second.variance_accounted_for < TAP_LIMITS.well_explained or (second.kept and not has_second)
+        if poor or not has_second:
+            warnings.add(poor, "the residuals are not noise" if has_second else f"two explain {together:.1f} %")
     elif explained < TAP_LIMITS.well_explained and noisy > TAP_LIMITS.max_residual_to_noise:
         warnings.add(True, "the residuals are not noise")
     else:
